@@ -1,0 +1,252 @@
+"""Settings of an exploration task: metres as a person gives them, cells as the rules use them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+TOLERANCE = 1e-9
+"""Slack of every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
+
+
+def _require(condition: bool, name: str, value: object, allowed: str) -> None:
+    if not condition:
+        raise ValueError(f"{name}={value!r} is not allowed: {allowed}")
+
+
+def _require_integer(name: str, value: object, low: int) -> None:
+    integer = isinstance(value, int) and not isinstance(value, bool)
+    _require(
+        integer and value >= low,  # type: ignore[operator]
+        name,
+        value,
+        f"it must be an integer of at least {low}",
+    )
+
+
+@dataclass(frozen=True)
+class ArenaConfig:
+    """The arena, its robots and their sensors; the defaults are the paper's Table III.
+
+    Raises:
+        ValueError: naming the field, its value and the bound, when a value is out of range.
+    """
+
+    height: int = 12
+    """Rows of the grid (cells)."""
+    width: int = 12
+    """Columns of the grid (cells)."""
+    obstacle_density: float = 0.1
+    """Share of the cells that hold a static obstacle."""
+    num_agents: int = 4
+    """Robots in the arena."""
+    cell_size: float = 0.5
+    """Side of a cell (metres)."""
+    sensing_range: float = 1.1
+    """Radius of the sensing disc (metres)."""
+    communication_range: float = 3.2
+    """Largest distance between two robots that can exchange maps (metres; may be infinite)."""
+    occlusion: bool = False
+    """Whether two obstacles hide the diagonal cell behind them (3 x 3 field of view only)."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that describe no arena."""
+        _require_integer("height", self.height, 1)
+        _require_integer("width", self.width, 1)
+        _require_integer("num_agents", self.num_agents, 1)
+        for name in ("cell_size", "sensing_range"):
+            value = getattr(self, name)
+            _require(
+                0 < value < math.inf, name, value, "it must be a positive finite number of metres"
+            )
+        _require(
+            self.communication_range >= 0,
+            "communication_range",
+            self.communication_range,
+            "it must be at least 0 metres",
+        )
+        _require(
+            0 <= self.obstacle_density < 1,
+            "obstacle_density",
+            self.obstacle_density,
+            "it must lie in [0, 1)",
+        )
+        smallest = 1.5 * math.sqrt(2) * self.cell_size
+        _require(
+            self.fov_radius >= 1,
+            "sensing_range",
+            self.sensing_range,
+            f"it must be at least {smallest:.4g} m to hold a 3 x 3 square of {self.cell_size} m cells",
+        )
+        _require(
+            not self.occlusion or self.fov_radius == 1,
+            "occlusion",
+            self.occlusion,
+            f"it needs a 3 x 3 field of view, and sensing_range={self.sensing_range} gives "
+            f"{self.fov_size} x {self.fov_size}",
+        )
+        free = self.num_cells - self.num_obstacles
+        _require(
+            self.num_agents <= free,
+            "num_agents",
+            self.num_agents,
+            f"{self.height} x {self.width} cells with obstacle_density={self.obstacle_density} "
+            f"leave room for at most {free}",
+        )
+
+    @property
+    def num_cells(self) -> int:
+        """Cells of the grid."""
+        return self.height * self.width
+
+    @property
+    def num_obstacles(self) -> int:
+        """Static obstacles of every arena."""
+        return round(self.obstacle_density * self.num_cells)
+
+    @property
+    def fov_radius(self) -> int:
+        """The k of the (2k+1) x (2k+1) field of view: its square lies inside the sensing disc."""
+        return math.floor(self.sensing_range / (math.sqrt(2) * self.cell_size) - 0.5 + TOLERANCE)
+
+    @property
+    def fov_size(self) -> int:
+        """Side of the field of view, 2k + 1 (cells)."""
+        return 2 * self.fov_radius + 1
+
+    @property
+    def communication_cells(self) -> float:
+        """Communication range (cells)."""
+        return self.communication_range / self.cell_size
+
+    @property
+    def max_discovery(self) -> int:
+        """Most cells one diagonal move can discover, the paper's e_max = 4k + 1 (Eq. 5)."""
+        return 4 * self.fov_radius + 1
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers one robot's actor reads: FOV, FPR (8 x 3) and NET; 37 for the paper's arena."""
+        return self.fov_size**2 + 24 + self.num_agents
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run; the defaults are the paper's Table III and, where it is silent, HAPPO's."""
+
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+    """The arena, its robots and their sensors."""
+    reward: str = "case2"
+    """Reward: case1, case2, case2-literal or team."""
+    fpr: Literal["relative", "proximity", "absolute"] = "relative"
+    """Normalisation of the frontier table."""
+    architecture: Literal["mlp", "cnn"] = "mlp"
+    """Networks of actors and critic."""
+    hidden: tuple[int, ...] = (2400, 300)
+    """Widths of the hidden layers; a CNN uses the last one."""
+    critic_reads: Literal["observation", "state"] = "observation"
+    """Whether the critic reads the joint observation (the paper) or the true state."""
+    episodes: int = 5000
+    """Training length, n_e (episodes of episode_steps steps)."""
+    episode_steps: int = 200
+    """Steps after which an episode is truncated, n_s."""
+    terminate_at_coverage: float | None = None
+    """Share of the target cells that ends an episode; None: never."""
+    num_envs: int = 8
+    """Arenas stepped side by side; with rollout_steps = episode_steps, episodes per update, n_b."""
+    rollout_steps: int = 200
+    """Steps of every arena per update."""
+    clip_epsilon: float = 0.2
+    """Half width of the clipping range of the policy ratio, epsilon."""
+    ppo_epochs: int = 5
+    """Passes over the batch per update of an actor or the critic."""
+    minibatches: int = 1
+    """Parts the batch is split into in every pass."""
+    actor_lr: float = 5e-4
+    """Adam's step size for the actors."""
+    critic_lr: float = 5e-4
+    """Adam's step size for the critic."""
+    lr_decay: bool = False
+    """Whether step sizes fall linearly to 5 % of their start."""
+    adam_eps: float = 1e-5
+    """Adam's epsilon."""
+    max_grad_norm: float = 10.0
+    """Bound of the gradient's norm per network."""
+    gamma: float = 0.99
+    """Discount per step."""
+    lmbda: float = 0.95
+    """GAE's lambda."""
+    entropy_coeff: float = 0.01
+    """Weight of the entropy bonus."""
+    value_norm: bool = True
+    """Whether the critic predicts in units of running return statistics."""
+    seed: int = 0
+    """Seed of arenas, initial weights, actions and minibatches."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that describe no run."""
+        for name in ("episodes", "episode_steps", "num_envs", "rollout_steps", "ppo_epochs"):
+            _require_integer(name, getattr(self, name), 1)
+        _require_integer("seed", self.seed, 0)
+        _require(
+            isinstance(self.minibatches, int) and 1 <= self.minibatches <= self.batch_frames,
+            "minibatches",
+            self.minibatches,
+            f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",
+        )
+        for width in self.hidden:
+            _require_integer("hidden", width, 1)
+        _require(len(self.hidden) > 0, "hidden", self.hidden, "it needs at least one width")
+        for name in ("clip_epsilon", "actor_lr", "critic_lr", "adam_eps", "max_grad_norm"):
+            _require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
+        _require(
+            self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
+        )
+        for name in ("gamma", "lmbda"):
+            _require(
+                0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"
+            )
+        _require(
+            self.updates >= 1,
+            "episodes",
+            self.episodes,
+            f"one update takes {self.batch_frames} steps of an arena, "
+            f"{self.batch_frames / self.episode_steps:g} episodes",
+        )
+
+    @property
+    def batch_frames(self) -> int:
+        """Steps of single arenas per update."""
+        return self.num_envs * self.rollout_steps
+
+    @property
+    def updates(self) -> int:
+        """Updates of a whole run."""
+        return self.episodes * self.episode_steps // self.batch_frames
+
+
+def _paper(architecture: Literal["mlp", "cnn"], reward: str) -> TrainConfig:
+    return TrainConfig(architecture=architecture, reward=reward)
+
+
+PRESETS: dict[str, TrainConfig] = {
+    "paper-mlp-case1": _paper("mlp", "case1"),
+    "paper-mlp-case2": _paper("mlp", "case2"),
+    "paper-cnn-case1": _paper("cnn", "case1"),
+    "paper-cnn-case2": _paper("cnn", "case2"),
+    "fast": TrainConfig(
+        reward="team",
+        fpr="proximity",
+        hidden=(128, 128),
+        critic_reads="state",
+        episodes=2500,
+        terminate_at_coverage=1.0,
+        num_envs=64,
+        rollout_steps=50,
+        minibatches=2,
+        gamma=0.95,
+        lr_decay=True,
+    ),
+}
+"""Ready-made training runs by name: the paper's four policies, and one that learns in minutes."""

@@ -1,0 +1,159 @@
+"""Frontiers and the feature table of how they lie behind the eight directions (FPR)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN, compass
+from marl_explore.core.wavefront import flood, to_bytes
+
+Normalization = Literal["relative", "proximity", "absolute"]
+NORMALIZATIONS: tuple[Normalization | None, ...] = ("relative", "proximity", "absolute", None)
+
+
+def frontier_mask(grid: Tensor) -> Tensor:
+    """Known-free cells with an unknown 4-neighbour, bool [*B, H, W], for maps [*B, H, W]."""
+    unknown = torch.nn.functional.pad(grid == UNKNOWN, (1, 1, 1, 1))
+    beside = (
+        unknown[..., :-2, 1:-1]
+        | unknown[..., 2:, 1:-1]
+        | unknown[..., 1:-1, :-2]
+        | unknown[..., 1:-1, 2:]
+    )
+    return beside & (grid == FREE)
+
+
+def feature_table(
+    grid: Tensor,
+    position: Tensor,
+    normalize: Normalization | None = "relative",
+    levels: int | None = None,
+) -> Tensor:
+    """Trajectories to the frontiers, counted and measured by their first move (Algorithm 1).
+
+    Per direction: number of trajectories, their mean length and its population standard
+    deviation (cells), over the shortest paths from the robot to every frontier it can reach
+    through known-free cells. Of several shortest paths the lowest first direction counts.
+
+    Args:
+        grid: maps, int8 [*B, H, W], -1 unknown, 0 free, 1 occupied.
+        position: int64 [*B, 2].
+        normalize: "relative", "proximity", "absolute" or None (raw); see SPEC, FPR.
+        levels: longest path that is looked for, without host synchronisation; None: all.
+
+    Returns:
+        float32 [*B, 8, 3].
+    """
+    if normalize not in NORMALIZATIONS:
+        raise ValueError(f"normalize={normalize!r} is not one of {NORMALIZATIONS}")
+    *batch, height, width = grid.shape
+    grids = grid.reshape(-1, height, width)
+    found = _trajectories(grids, position.reshape(-1, 2), levels)
+    table = _normalized(_moments(found, len(grids)), normalize, height, width)
+    return table.view(*batch, NUM_DIRECTIONS, 3)
+
+
+def nearest_frontier(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+    """First move of the shortest path to any frontier, and its length.
+
+    Args:
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2].
+
+    Returns:
+        Direction and length (cells), int64 [*B] each; both 0 where no frontier can be reached.
+    """
+    *batch, height, width = grid.shape
+    found = _trajectories(grid.reshape(-1, height, width), position.reshape(-1, 2), levels=None)
+    rank = found.length.long() * NUM_DIRECTIONS + found.direction
+    nearest = torch.zeros(position.shape[:-1].numel(), dtype=torch.int64, device=grid.device)
+    nearest.scatter_reduce_(0, found.robot, rank, "amin", include_self=False)
+    nearest = nearest.view(*batch)
+    return nearest % NUM_DIRECTIONS, nearest // NUM_DIRECTIONS
+
+
+class Trajectories(NamedTuple):
+    """The shortest paths of a batch of robots to their frontiers, one entry each."""
+
+    robot: Tensor
+    """Row of the batch, int64 [F]."""
+    direction: Tensor
+    """First move, int64 [F]."""
+    length: Tensor
+    """Moves, float64 [F] (cells)."""
+
+
+def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Trajectories:
+    """Paths to all reachable frontiers of maps [M, H, W] from positions [M, 2]."""
+    passable = to_bytes(grid != OCCUPIED)
+    labels, distance = flood(*_first_moves(grid, position, passable), passable, levels)
+    reached = (labels & to_bytes(frontier_mask(grid))).flatten()
+    cell = reached.nonzero().squeeze(-1)
+    direction = _lowest_bit(cell.device)[reached[cell].int()]
+    return Trajectories(cell % grid.shape[0], direction, distance.flatten()[cell].double())
+
+
+class Moments(NamedTuple):
+    """Path lengths of M robots, summed up: float64 [M, 8] each, the longest path [M, 1]."""
+
+    count: Tensor
+    total: Tensor
+    squares: Tensor
+    longest: Tensor
+
+
+def _moments(found: Trajectories, robots: int) -> Moments:
+    """Number, sum and squares of the path lengths of each robot and direction."""
+    length = found.length
+    powers = torch.stack((torch.ones_like(length), length, length * length), -1)
+    sums = powers.new_zeros(robots * NUM_DIRECTIONS, 3)
+    sums.index_add_(0, found.robot * NUM_DIRECTIONS + found.direction, powers)
+    longest = length.new_zeros(robots).scatter_reduce_(0, found.robot, length, "amax")
+    return Moments(*sums.view(robots, NUM_DIRECTIONS, 3).unbind(-1), longest.unsqueeze(-1))
+
+
+def _first_moves(grid: Tensor, position: Tensor, passable: Tensor) -> tuple[Tensor, Tensor]:
+    """The front that labels each neighbour with its direction's bit, and where paths may go."""
+    count = grid.shape[0]
+    fresh = to_bytes(grid == FREE)
+    row, column = position.T + 1
+    robot = torch.arange(count, device=grid.device)
+    fresh[row, column, robot] = 0
+    front = torch.zeros_like(fresh)
+    step_row, step_column = compass(grid.device).T.unsqueeze(-1)
+    bits = torch.tensor([[1 << d] for d in range(NUM_DIRECTIONS)], device=grid.device).byte()
+    open_beside = passable[row + step_row, column, robot] | passable[row, column + step_column, robot]
+    front[row + step_row, column + step_column, robot] = open_beside & bits
+    return front, fresh
+
+
+@lru_cache
+def _lowest_bit(device: torch.device) -> Tensor:
+    """Index of the lowest set bit of every byte, int64 [256] (0 for 0)."""
+    return torch.tensor([(b & -b).bit_length() - 1 if b else 0 for b in range(256)], device=device)
+
+
+def _normalized(
+    moments: Moments, normalize: Normalization | None, height: int, width: int
+) -> Tensor:
+    """Feature table, float32 [M, 8, 3]."""
+    count, total, squares, longest = moments
+    some = count.clamp_min(1)
+    mean = total / some
+    deviation = (count * squares - total * total).sqrt() / some
+    if normalize == "absolute":
+        count = count / (height * width)
+        mean, deviation = mean / (height + width), deviation / (height + width)
+    elif normalize is not None:
+        count = count / count.sum(-1, keepdim=True).clamp_min(1)
+        deviation = deviation / longest.clamp_min(1)
+        if normalize == "relative":
+            mean = mean / longest.clamp_min(1)
+        else:
+            nearest = mean.masked_fill(mean == 0, torch.inf).amin(-1, keepdim=True)
+            mean = torch.where(mean == 0, 0, nearest / mean)
+    return torch.stack((count, mean, deviation), -1).float()

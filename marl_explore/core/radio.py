@@ -1,0 +1,47 @@
+"""Who can hear whom, and which robots form a network."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from marl_explore.config import TOLERANCE
+
+
+def in_range(position: Tensor, range_cells: float) -> Tensor:
+    """Pairs of robots at most ``range_cells`` apart, bool [*B, N, N] with a True diagonal.
+
+    Args:
+        position: int64 [*B, N, 2].
+        range_cells: communication range (cells; may be infinite).
+    """
+    squared = (position.unsqueeze(-2) - position.unsqueeze(-3)).square().sum(-1)
+    limit = torch.iinfo(torch.int64).max
+    if math.isfinite(range_cells):
+        limit = math.floor((range_cells + TOLERANCE) ** 2)
+    return squared <= limit
+
+
+def has_neighbor(reach: Tensor) -> Tensor:
+    """Whether another robot is in range, bool [*B, N], for ``in_range`` pairs [*B, N, N]."""
+    return reach.sum(-1) > 1
+
+
+def networks(reach: Tensor, communicating: Tensor) -> Tensor:
+    """Pairs of robots in one network: communicators joined by chains of pairs in range.
+
+    Args:
+        reach: bool [*B, N, N], pairs in range.
+        communicating: bool [*B, N], robots that chose to communicate.
+
+    Returns:
+        bool [*B, N, N], True on the diagonal for members; networks have at least two members.
+    """
+    joined = reach & communicating.unsqueeze(-1) & communicating.unsqueeze(-2)
+    robots = communicating.shape[-1]
+    for _ in range((robots - 1).bit_length()):  # each pass doubles the length of the chains
+        joined = (joined.unsqueeze(-1) & joined.unsqueeze(-3)).any(-2)
+    member = joined.sum(-1) > 1
+    return joined & member.unsqueeze(-1)

@@ -1,0 +1,114 @@
+"""The paper's two rewards, their literal variant, and the team reward (SPEC, Rewards)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.grid import COMMUNICATE, STAY
+
+
+class StepRecord(NamedTuple):
+    """What one step did, for rewards to judge; |M| is the number of known cells of a map."""
+
+    action: Tensor
+    """int64 [*B, N]."""
+    dangerous: Tensor
+    """Moves that were refused, bool [*B, N]."""
+    network: Tensor
+    """Pairs in one network, bool [*B, N, N], True on the diagonal for its members."""
+    discovered: Tensor
+    """Cells new to the own map by own sensing, int64 [*B, N]."""
+    received: Tensor
+    """Cells new to the own map by merging, int64 [*B, N]."""
+    known: Tensor
+    """|M_i| after the step, int64 [*B, N]."""
+    unshared: Tensor
+    """q_ij before the step's merges reset it, int64 [*B, N, N] (cells)."""
+    complete: Tensor
+    """Whether some robot's map is complete after the step, bool [*B]."""
+    num_cells: int
+    """H x W."""
+    max_discovery: int
+    """e_max, the most cells one move can discover."""
+
+    @property
+    def merged(self) -> Tensor:
+        """Members of a network, bool [*B, N]."""
+        return self.network.diagonal(dim1=-2, dim2=-1)
+
+    @property
+    def gain(self) -> Tensor:
+        """|M_i^t| - |M_i^(t-1)|, int64 [*B, N]."""
+        return self.discovered + self.received
+
+
+Reward = Callable[[StepRecord], Tensor]
+"""From a step's record to each robot's own reward, float [*B, N]; the team gets their mean."""
+
+
+def case1(step: StepRecord) -> Tensor:
+    """-100 if dangerous, else the cells added to the own map (Eq. 2)."""
+    return torch.where(step.dangerous, -100.0, step.gain.float())
+
+
+def case2(step: StepRecord) -> Tensor:
+    """-10 if dangerous, a share of what a merge brought, else discoveries less idleness (Eq. 3)."""
+    alone = (step.action == COMMUNICATE) & ~step.merged
+    return torch.where(alone, 0.0, _case2(step, idle=step.action == STAY))
+
+
+def case2_literal(step: StepRecord) -> Tensor:
+    """As ``case2``, but a lone communicator shares no data and so counts as idle."""
+    return _case2(step, idle=(step.action == STAY) | (step.action == COMMUNICATE))
+
+
+def _case2(step: StepRecord, idle: Tensor) -> Tensor:
+    exploring = step.gain / step.max_discovery - idle.float()
+    sharing = _share_bonus(step) * step.gain / step.num_cells
+    reward = torch.where(step.merged, sharing, exploring)
+    return torch.where(step.dangerous, -10.0, reward)
+
+
+def _share_bonus(step: StepRecord) -> Tensor:
+    """p_i = 0.8 + mean over the other members j of q_ij / (H W), float [*B, N]."""
+    robots = step.network.shape[-1]
+    itself = torch.eye(robots, dtype=torch.bool, device=step.network.device)
+    partners = step.network & ~itself
+    shared = (step.unshared * partners).sum(-1)
+    return 0.8 + shared / (step.num_cells * partners.sum(-1).clamp_min(1))
+
+
+def team(step: StepRecord) -> Tensor:
+    """Growth of the largest map, less a price of time and of dangers; the same for every robot."""
+    largest_before = (step.known - step.gain).amax(-1, keepdim=True)
+    growth = step.known.amax(-1, keepdim=True) - largest_before
+    danger = step.dangerous.float().mean(-1, keepdim=True)
+    unfinished = ~step.complete.unsqueeze(-1)
+    return (growth / 40 - 0.1 * unfinished - 0.25 * danger).expand_as(step.dangerous)
+
+
+REWARDS: dict[str, Reward] = {
+    "case1": case1,
+    "case2": case2,
+    "case2-literal": case2_literal,
+    "team": team,
+}
+
+
+def resolve(reward: str | Reward) -> Reward:
+    """The reward of a name, or the callable itself.
+
+    Raises:
+        ValueError: naming the known rewards, for an unknown name.
+    """
+    if callable(reward):
+        return reward
+    if reward not in REWARDS:
+        raise ValueError(
+            f"reward={reward!r} is unknown: use a callable or one of {sorted(REWARDS)}"
+        )
+    return REWARDS[reward]

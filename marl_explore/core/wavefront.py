@@ -1,0 +1,82 @@
+"""Shortest 8-connected paths for a whole batch of grids at once, by growing sets of labels.
+
+A label set is one uint8 per cell, eight bits that travel together: OR-ing the sets of the
+neighbours one level after another leaves in every cell the union of the labels over all its
+shortest paths. The batch lies last in memory, so each level is a few vectorised byte operations.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+ALL = 255
+"""A byte mask that lets every label through; 0 lets none."""
+
+
+def to_bytes(grids: Tensor) -> Tensor:
+    """Bool grids [M, H, W] as byte masks with the batch last and a closed border, [H+2, W+2, M]."""
+    count, height, width = grids.shape
+    masks = torch.zeros(height + 2, width + 2, count, dtype=torch.uint8, device=grids.device)
+    masks[1:-1, 1:-1] = grids.permute(1, 2, 0)
+    return masks.mul_(ALL)
+
+
+def flood(
+    front: Tensor, fresh: Tensor, passable: Tensor, levels: int | None = None
+) -> tuple[Tensor, Tensor]:
+    """Grow label sets along shortest 8-connected paths.
+
+    A diagonal step is blocked only where both cells beside it are impassable.
+
+    Args:
+        front: uint8 [H+2, W+2, M], the labels at distance 1, zero elsewhere.
+        fresh: uint8 [H+2, W+2, M], ALL where a path may go, 0 where it may not and on the border.
+        passable: uint8 [H+2, W+2, M], ALL except in cells that block a diagonal.
+        levels: grow exactly this often without asking whether anything is left (no host
+            synchronisation); None: until no front is left.
+
+    Returns:
+        labels uint8 and distances int16 (0 where never reached), both [H+2, W+2, M].
+    """
+    front = front & fresh
+    labels = front.clone()
+    fresh = fresh & _closed(front)
+    # how many levels each cell waited to be reached; a byte would overflow in long mazes
+    waited = (fresh & 1).to(torch.int16)
+    level = 0
+    while level != levels:
+        level += 1
+        front = _spread(front, passable).bitwise_and_(fresh)
+        if levels is None and level % 2 == 0 and not front.any():
+            break
+        labels |= front
+        fresh &= _closed(front)
+        waited += fresh & 1
+    return labels, (waited + 1).mul_(labels != 0)
+
+
+def _closed(front: Tensor) -> Tensor:
+    """0 where any label stands, ALL elsewhere (1 - 1 = 0 and 0 - 1 = 255 in byte arithmetic)."""
+    return front.clamp_max(1).sub_(1)
+
+
+def _spread(front: Tensor, passable: Tensor) -> Tensor:
+    """OR of the labels of the eight neighbours and the cell itself, under the diagonal rule.
+
+    A diagonal is two straight half steps; one order of them must not cross an impassable cell.
+    """
+    sideways = front.clone()
+    sideways[:, 1:] |= front[:, :-1]
+    sideways[:, :-1] |= front[:, 1:]
+    sideways &= passable
+    upright = torch.zeros_like(front)
+    upright[1:] |= front[:-1]
+    upright[:-1] |= front[1:]
+    upright &= passable
+    spread = sideways.clone()
+    spread[1:] |= sideways[:-1]
+    spread[:-1] |= sideways[1:]
+    spread[:, 1:] |= upright[:, :-1]
+    spread[:, :-1] |= upright[:, 1:]
+    return spread

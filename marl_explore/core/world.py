@@ -1,0 +1,121 @@
+"""The state of a batch of arenas, how an episode starts, and what one step does to it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from marl_explore.config import ArenaConfig
+from marl_explore.core.grid import COMMUNICATE, UNKNOWN
+from marl_explore.core.mapping import known_cells, known_targets, merge, sense, target_cells
+from marl_explore.core.motion import dangerous_moves, move, open_moves
+from marl_explore.core.radio import in_range, networks
+from marl_explore.core.rewards import StepRecord
+
+NEVER = 1_000_000
+"""Steps since the last merge of two robots that never merged; the counter stops there."""
+
+
+class WorldState(NamedTuple):
+    """Everything an episode's future depends on; the first dimensions are arenas."""
+
+    obstacles: Tensor
+    """Static obstacles, bool [*B, H, W]."""
+    target: Tensor
+    """Cells to be mapped, bool [*B, H, W]; follows from obstacles and positions."""
+    map: Tensor
+    """Each robot's occupancy map, int8 [*B, N, H, W]."""
+    position: Tensor
+    """(row, column) of each robot, int64 [*B, N, 2]."""
+    unshared: Tensor
+    """q_ij: own discoveries since the last merge with j, int64 [*B, N, N] (cells), 0 for j = i."""
+    steps_since_merge: Tensor
+    """Steps since i and j were in one network, int64 [*B, N, N]; NEVER before; 0 for j = i."""
+    step_count: Tensor
+    """Steps of the episode so far, int64 [*B, 1]."""
+
+
+def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldState:
+    """State at reset: every robot has sensed once.
+
+    Args:
+        config: sizes and ranges.
+        obstacles: bool [*B, H, W].
+        position: int64 [*B, N, 2], free and distinct cells.
+    """
+    *batch, height, width = obstacles.shape
+    robots = position.shape[-2]
+    unknown = torch.full(
+        (*batch, robots, height, width), UNKNOWN, dtype=torch.int8, device=obstacles.device
+    )
+    grid = sense(unknown, obstacles, position, config.fov_radius, config.occlusion)
+    others = _others(robots, position.device)
+    return WorldState(
+        obstacles=obstacles,
+        target=target_cells(obstacles, position),
+        map=grid,
+        position=position,
+        unshared=known_cells(grid).unsqueeze(-1) * others,
+        steps_since_merge=(NEVER * others).expand(*batch, robots, robots).clone(),
+        step_count=position.new_zeros(*batch, 1),
+    )
+
+
+def advance(
+    config: ArenaConfig, state: WorldState, action: Tensor
+) -> tuple[WorldState, StepRecord]:
+    """One step of all robots at once: move, sense, merge (SPEC, Actions and Communication).
+
+    Args:
+        config: sizes and ranges.
+        state: before the step; it is not changed.
+        action: int64 [*B, N], any of the ten actions, allowed or not.
+
+    Returns:
+        The state after the step, and the record of what happened.
+    """
+    dangerous = dangerous_moves(
+        open_moves(state.obstacles, state.position), state.position, action
+    )
+    position = move(state.position, action, dangerous)
+    sensed = sense(state.map, state.obstacles, position, config.fov_radius, config.occlusion)
+    network = networks(in_range(position, config.communication_cells), action == COMMUNICATE)
+    merged = merge(sensed, network)
+
+    known_sensed, known = known_cells(sensed), known_cells(merged)
+    discovered = known_sensed - known_cells(state.map)
+    others = _others(action.shape[-1], action.device)
+    unshared = state.unshared + discovered.unsqueeze(-1) * others
+    waited = (state.steps_since_merge + others).clamp_max(NEVER)
+    after = state._replace(
+        map=merged,
+        position=position,
+        unshared=unshared.masked_fill(network, 0),
+        steps_since_merge=waited.masked_fill(network, 0),
+        step_count=state.step_count + 1,
+    )
+    record = StepRecord(
+        action=action,
+        dangerous=dangerous,
+        network=network,
+        discovered=discovered,
+        received=known - known_sensed,
+        known=known,
+        unshared=unshared,
+        complete=(known_targets(merged, state.target) == num_targets(state).unsqueeze(-1)).any(-1),
+        num_cells=config.num_cells,
+        max_discovery=config.max_discovery,
+    )
+    return after, record
+
+
+def num_targets(state: WorldState) -> Tensor:
+    """Number of cells to be mapped, int64 [*B]."""
+    return state.target.flatten(-2).sum(-1)
+
+
+def _others(robots: int, device: torch.device) -> Tensor:
+    """1 for every pair of different robots, int64 [N, N]."""
+    return 1 - torch.eye(robots, dtype=torch.int64, device=device)

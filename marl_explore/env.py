@@ -1,0 +1,399 @@
+"""The exploration task as a TorchRL environment that steps a whole batch of arenas at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from marl_explore import arenas as suites
+from marl_explore.config import ArenaConfig
+from marl_explore.core import mapping, motion, radio, rewards, world
+from marl_explore.core.grid import NUM_ACTIONS
+from marl_explore.core.hashing import combine, text_key
+from marl_explore.core.world import NEVER, WorldState
+
+_WORLD_KEYS = {
+    "obstacles": "obstacles",
+    ("agents", "map"): "map",
+    ("agents", "position"): "position",
+    ("agents", "unshared"): "unshared",
+    ("agents", "steps_since_merge"): "steps_since_merge",
+    "step_count": "step_count",
+}
+_START_KEYS = ("obstacles", ("agents", "position"))
+
+
+class LastStep(NamedTuple):
+    """What the last step did to each robot [B, N]; False or 0 at reset but for ``discovered``."""
+
+    dangerous: Tensor
+    merged: Tensor
+    discovered: Tensor
+    received: Tensor
+    individual_reward: Tensor
+
+
+class ExplorationEnv(EnvBase):
+    """Robots that map unknown arenas together; SPEC describes the rules, DESIGN the entries.
+
+    Args:
+        config: the arena, its robots and their sensors.
+        num_envs: arenas B stepped at once; the batch size is [B].
+        reward: "case1", "case2", "case2-literal", "team", or a callable on the step record.
+        max_steps: episode length after which an arena is truncated (steps).
+        terminate_at_coverage: share of the target cells in (0, 1] that ends an episode once the
+            largest map covers it; None: never.
+        arenas: a suite's name, or a callable (seed, arena indices, episodes) -> (obstacles,
+            positions).
+        seed: with ``stream``, arena index and episode number it determines every arena.
+        stream: name of an independent family of arenas, such as "train" or "test".
+        first_arena: index of the first arena; workers with disjoint ranges share one numbering.
+        device: where the arenas live.
+
+    Raises:
+        ValueError: naming argument, value and what is allowed, for arguments out of range.
+    """
+
+    _supports_set_state = True
+
+    def __init__(
+        self,
+        config: ArenaConfig | None = None,
+        num_envs: int = 1,
+        reward: str | rewards.Reward = "case2",
+        max_steps: int = 200,
+        terminate_at_coverage: float | None = None,
+        arenas: str | suites.Generator = "uniform",
+        seed: int = 0,
+        stream: str = "train",
+        first_arena: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        config = config or ArenaConfig()
+        _require_at_least("num_envs", num_envs, 1)
+        _require_at_least("max_steps", max_steps, 1)
+        _require_at_least("first_arena", first_arena, 0)
+        if terminate_at_coverage is not None and not 0 < terminate_at_coverage <= 1:
+            raise ValueError(
+                f"terminate_at_coverage={terminate_at_coverage!r} is not allowed: "
+                "it must be None or lie in (0, 1]"
+            )
+        super().__init__(device=device, batch_size=[num_envs])
+        self.config = config
+        self.max_steps = max_steps
+        self.terminate_at_coverage = terminate_at_coverage
+        self.stream = stream
+        self.first_arena = first_arena
+        self.group_map = {"agents": [f"robot_{i}" for i in range(config.num_agents)]}
+        self._reward = rewards.resolve(reward)
+        self._generate = suites.resolve(arenas, config)
+        self._seed = seed
+        # -1: no arena drawn yet; the first reset draws episode 0
+        self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=self.device)
+        self._world: WorldState | None = None
+        self._last: LastStep | None = None
+        self._restored = False
+        self._make_specs()
+
+    # ------------------------------------------------------------------ specs
+
+    def _make_specs(self) -> None:
+        config, batch, device = self.config, self.num_envs, self.device
+        robots, height, width = config.num_agents, config.height, config.width
+        side = config.fov_size
+
+        def integer(low: int, high: int, *shape: int, dtype: torch.dtype = torch.int64) -> Bounded:
+            return Bounded(low, high, shape=(batch, *shape), dtype=dtype, device=device)
+
+        def flag(*shape: int) -> Binary:
+            return Binary(shape=(batch, *shape), dtype=torch.bool, device=device)
+
+        def group(shape: tuple[int, ...] = (batch, robots), **entries: Any) -> Composite:
+            return Composite(**entries, shape=shape, device=device)
+
+        def entire(**entries: Any) -> Composite:
+            return group(shape=(batch,), **entries)
+
+        cells = config.num_cells
+        state = {
+            "map": integer(-1, 1, robots, height, width, dtype=torch.int8),
+            "position": integer(0, max(height, width) - 1, robots, 2),
+            "unshared": integer(0, cells, robots, robots),
+            "steps_since_merge": integer(0, NEVER, robots, robots),
+        }
+        fov = Bounded(0, 1, shape=(batch, robots, side, side), dtype=torch.float32, device=device)
+        own_reward = Unbounded(shape=(batch, robots, 1), dtype=torch.float32, device=device)
+        shared = {
+            "obstacles": flag(height, width),
+            "step_count": Unbounded(shape=(batch, 1), dtype=torch.int64, device=device),
+        }
+        self.full_state_spec = entire(**shared, agents=group(**state))
+        self.full_observation_spec = entire(
+            **shared,
+            agents=group(
+                **state,
+                action_mask=flag(robots, NUM_ACTIONS),
+                observation=group(fov=fov),
+                dangerous=flag(robots),
+                merged=flag(robots),
+                discovered=integer(0, cells, robots),
+                received=integer(0, cells, robots),
+                individual_reward=own_reward,
+            ),
+        ).clone()
+        self.full_action_spec = entire(
+            agents=group(action=Categorical(NUM_ACTIONS, shape=(batch, robots), device=device))
+        )
+        self.full_reward_spec = entire(
+            reward=Unbounded(shape=(batch, 1), dtype=torch.float32, device=device)
+        )
+        done = Categorical(2, shape=(batch, 1), dtype=torch.bool, device=device)
+        self.full_done_spec = entire(done=done, terminated=done.clone(), truncated=done.clone())
+
+    @property
+    def num_envs(self) -> int:
+        """Number of arenas B."""
+        return self.batch_size[0]
+
+    # ------------------------------------------------------------------ reset
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Start the numbering of episodes again under another seed."""
+        if seed is not None:
+            self._seed = seed
+            self._episode = torch.full_like(self._episode, -1)
+
+    def _reset(
+        self, tensordict: TensorDictBase | None = None, set_state: bool = False, **_: Any
+    ) -> TensorDictBase:
+        flagged = None if tensordict is None else tensordict.get("_reset", None)
+        if set_state and tensordict is not None:
+            given = self._given_state(tensordict)
+            rows = self._rows(flagged)
+            last = self._at_rest(given, first="map" not in tensordict.get("agents").keys())
+            self._replace_rows(rows, *(_take(part, rows) for part in (given, last)))
+        elif self._restored and flagged is None:
+            pass  # the state that was loaded is the one to go on from
+        else:
+            rows = self._rows(flagged)
+            fresh = self._draw(rows)
+            self._replace_rows(rows, fresh, self._at_rest(fresh, first=True))
+        self._restored = False
+        output = self._observe()
+        return output.update(self.full_done_spec.zero())
+
+    def _rows(self, flagged: Tensor | None) -> Tensor:
+        """Indices of the arenas to reset, int64 [A]."""
+        if flagged is None:
+            return torch.arange(self.num_envs, device=self.device)
+        return flagged.flatten().nonzero().squeeze(-1)
+
+    def _draw(self, rows: Tensor) -> WorldState:
+        """The next episode's arenas of some rows."""
+        self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
+        seed = int(combine(text_key(self.stream), self._seed))
+        obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
+        return world.start(self.config, obstacles, position)
+
+    def _given_state(self, tensordict: TensorDictBase) -> WorldState:
+        """The state in a TensorDict: given starts, or all of an episode under way."""
+        entries = {name: tensordict.get(key, None) for key, name in _WORLD_KEYS.items()}
+        missing = [key for key in _START_KEYS if entries[_WORLD_KEYS[key]] is None]
+        if missing:
+            raise ValueError(f"reset(set_state=True) needs {_START_KEYS}; missing: {missing}")
+        self._check_entries(entries)
+        _check_starts(entries["obstacles"], entries["position"])
+        state = world.start(self.config, entries["obstacles"], entries["position"])
+        progress = {name: entries[name] for name in WorldState._fields if name in entries}
+        given = [name for name, value in progress.items() if value is not None]
+        if set(given) == set(progress):
+            return state._replace(**{name: value.clone() for name, value in progress.items()})
+        return state
+
+    def _check_entries(self, entries: dict[str, Tensor | None]) -> None:
+        """Given entries must have their spec's dtype and shape."""
+        for key, name in _WORLD_KEYS.items():
+            spec, value = self.full_state_spec[key], entries[name]
+            if value is not None and (value.dtype != spec.dtype or value.shape != spec.shape):
+                raise ValueError(
+                    f"reset(set_state=True): {key!r} must be {spec.dtype} of shape "
+                    f"{tuple(spec.shape)}, got {value.dtype} of shape {tuple(value.shape)}"
+                )
+
+    def _replace_rows(self, rows: Tensor, fresh: WorldState, last: LastStep) -> None:
+        """Write fresh arenas into the state, leaving tensors that were handed out untouched."""
+        if self._world is None or self._last is None or len(rows) == self.num_envs:
+            self._world, self._last = fresh, last
+            return
+        self._world = WorldState(*_written(self._world, rows, fresh))
+        self._last = LastStep(*_written(self._last, rows, last))
+
+    def _at_rest(self, state: WorldState, first: bool) -> LastStep:
+        """The record of no step; at a first sensing the known cells are discoveries."""
+        known = mapping.known_cells(state.map)
+        nothing = torch.zeros_like(known)
+        no = nothing.bool()
+        return LastStep(
+            dangerous=no,
+            merged=no.clone(),
+            discovered=known if first else nothing.clone(),
+            received=nothing,
+            individual_reward=nothing.float().unsqueeze(-1),
+        )
+
+    # ------------------------------------------------------------------- step
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict.get(("agents", "action"))
+        self._world, record = world.advance(self.config, self._world, action)
+        reward = self._reward(record)
+        self._last = LastStep(
+            dangerous=record.dangerous,
+            merged=record.merged,
+            discovered=record.discovered,
+            received=record.received,
+            individual_reward=reward.unsqueeze(-1),
+        )
+        output = self._observe()
+        terminated = self._covered().unsqueeze(-1)
+        truncated = self._world.step_count >= self.max_steps
+        output.set("reward", reward.mean(-1, keepdim=True))
+        output.set("terminated", terminated)
+        output.set("truncated", truncated)
+        output.set("done", terminated | truncated)
+        return output
+
+    def _covered(self) -> Tensor:
+        """Arenas whose largest map covers the share that ends an episode, bool [B]."""
+        state = self._world
+        if self.terminate_at_coverage is None:
+            return torch.zeros(self.batch_size, dtype=torch.bool, device=self.device)
+        largest = mapping.known_targets(state.map, state.target).amax(-1)
+        # whole cells are compared: the epsilon keeps 0.9 * 110 from asking for one cell more
+        share = self.terminate_at_coverage * world.num_targets(state).double()
+        return largest >= (share - 1e-9).ceil()
+
+    def _observe(self) -> TensorDict:
+        """All observation entries, in one nested TensorDict."""
+        state, config = self._world, self.config
+        reach = radio.in_range(state.position, config.communication_cells)
+        moves = motion.open_moves(state.obstacles, state.position)
+        fov = mapping.field_of_view(
+            state.obstacles, state.position, config.fov_radius, config.occlusion
+        )
+        group = (*self.batch_size, config.num_agents)
+        agents = TensorDict(
+            {
+                "map": state.map,
+                "position": state.position,
+                "unshared": state.unshared,
+                "steps_since_merge": state.steps_since_merge,
+                "action_mask": motion.action_mask(moves, reach),
+                "observation": TensorDict({"fov": fov}, batch_size=group, device=self.device),
+                **self._last._asdict(),
+            },
+            batch_size=group,
+            device=self.device,
+        )
+        return TensorDict(
+            {"obstacles": state.obstacles, "step_count": state.step_count, "agents": agents},
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+    def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        """Uniform random actions among the allowed ones (of the current state without input)."""
+        if tensordict is None:
+            if self._world is None:
+                return super().rand_action(None)
+            mask = self._observe().get(("agents", "action_mask"))
+            tensordict = TensorDict({}, batch_size=self.batch_size, device=self.device)
+        else:
+            mask = tensordict.get(("agents", "action_mask"))
+        weights = mask.flatten(0, -2).float()
+        action = torch.multinomial(weights, 1).view(mask.shape[:-1])
+        return tensordict.set(("agents", "action"), action)
+
+    # ------------------------------------------------------------ state, device
+
+    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:  # type: ignore[override]
+        """Everything the future of the environment depends on, as tensors and integers."""
+        state: dict[str, Any] = {"seed": self._seed, "episode": self._episode}
+        for part in (self._world, self._last):
+            state.update(part._asdict() if part is not None else {})
+        return state
+
+    def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:  # type: ignore[override]
+        """Go on from a ``state_dict``: the next full reset returns its observation.
+
+        Raises:
+            ValueError: when the entries are not those of this environment.
+        """
+        names = {"seed", "episode"}
+        if len(state_dict) > len(names):
+            names |= {*WorldState._fields, *LastStep._fields}
+        if set(state_dict) != names:
+            raise ValueError(
+                f"state_dict holds {sorted(state_dict)}, expected {sorted(names)} "
+                "(made by ExplorationEnv.state_dict)"
+            )
+        if state_dict["episode"].shape != self._episode.shape:
+            raise ValueError(
+                f"state_dict is of {len(state_dict['episode'])} arenas, "
+                f"this environment has {self.num_envs}"
+            )
+        self._seed = state_dict["seed"]
+        self._episode = state_dict["episode"].to(self.device)
+        if "map" in state_dict:
+            self._check_entries({name: state_dict[name] for name in _WORLD_KEYS.values()})
+            self._world, self._last = (
+                part(*(state_dict[name].to(self.device) for name in part._fields))
+                for part in (WorldState, LastStep)
+            )
+            self._restored = True
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ExplorationEnv:
+        """Move the state along when the environment moves to another device."""
+        self._episode = fn(self._episode)
+        if self._world is not None and self._last is not None:
+            self._world = WorldState(*map(fn, self._world))
+            self._last = LastStep(*map(fn, self._last))
+        return super()._apply(fn, recurse)
+
+
+def _require_at_least(name: str, value: int, low: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < low:
+        raise ValueError(f"{name}={value!r} is not allowed: it must be an integer of at least {low}")
+
+
+def _take(part: Any, rows: Tensor) -> Any:
+    return type(part)(*(entry[rows] for entry in part))
+
+
+def _written(part: Any, rows: Tensor, fresh: Any) -> list[Tensor]:
+    """Copies of a state's tensors with some rows replaced."""
+    return [old.index_put((rows,), new) for old, new in zip(part, fresh, strict=True)]
+
+
+def _check_starts(obstacles: Tensor, position: Tensor) -> None:
+    """Given start cells must be in bounds, free and distinct."""
+    size = torch.tensor(obstacles.shape[-2:], device=position.device)
+    outside = ((position < 0) | (position >= size)).any(-1)
+    _refuse(outside, position, f"is outside the arena of {size[0]} x {size[1]} cells")
+    batch = torch.arange(len(obstacles), device=position.device).unsqueeze(-1)
+    _refuse(obstacles[batch, position[..., 0], position[..., 1]], position, "is an obstacle")
+    same = (position.unsqueeze(-2) == position.unsqueeze(-3)).all(-1)
+    _refuse(same.sum(-1) > 1, position, "holds more than one robot")
+
+
+def _refuse(wrong: Tensor, position: Tensor, reason: str) -> None:
+    if wrong.any():
+        arena, robot = wrong.nonzero()[0].tolist()
+        cell = tuple(position[arena, robot].tolist())
+        raise ValueError(f"start of robot {robot} in arena {arena}: cell {cell} {reason}")

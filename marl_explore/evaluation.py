@@ -1,0 +1,131 @@
+"""Policies on arenas they never saw: record episodes, measure them, put them in a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import step_mdp
+
+from marl_explore.config import ArenaConfig
+from marl_explore.core.mapping import target_cells
+from marl_explore.env import ExplorationEnv
+from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
+from marl_explore.planners import PLANNERS
+from marl_explore.policies import list_policies, load_policy
+
+Actor = Callable[[TensorDictBase], TensorDictBase]
+
+TEST_STREAM = "test"
+
+
+def find_policy(name: str, config: ArenaConfig) -> Actor:
+    """A planner's name, or what ``load_policy`` takes, ready to act on arenas of ``config``.
+
+    Raises:
+        ValueError: naming what there is, for an unknown name.
+    """
+    if name in PLANNERS:
+        return PLANNERS[name](config)
+    try:
+        return load_policy(name)
+    except ValueError as error:
+        raise ValueError(
+            f"{error}; planners: {sorted(PLANNERS)}, bundled policies: {list_policies()}"
+        ) from error
+
+
+def play(policy: Actor, env: ExplorationEnv, steps: int) -> Iterator[TensorDictBase]:
+    """The TensorDicts of an episode: the reset, then every step's with "next" in it."""
+    tensordict = env.reset()
+    yield tensordict
+    for _ in range(steps):
+        stepped = env.step(policy(tensordict))
+        yield stepped
+        tensordict = step_mdp(stepped)
+
+
+def record(
+    policy: Actor,
+    config: ArenaConfig,
+    num_arenas: int = 200,
+    steps: int = 300,
+    seed: int = 0,
+    stream: str = TEST_STREAM,
+) -> Episodes:
+    """Run a policy once on every arena, deterministic given the seed.
+
+    Args:
+        policy: TensorDict in, action out.
+        config: arenas and robots.
+        num_arenas: B.
+        steps: T.
+        seed: of the arenas and of sampled actions; the global random state is left as it was.
+        stream: family of arenas.
+    """
+    env = ExplorationEnv(config, num_arenas, max_steps=steps, seed=seed, stream=stream)
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(seed)
+        episode = play(policy, env, steps)
+        start = next(episode)
+        target = target_cells(start["obstacles"], start["agents", "position"])
+        maps = [snapshot(start["agents", "map"], target)]
+        discovered = [start["agents", "discovered"]]
+        events: dict[str, list[torch.Tensor]] = {
+            key: [] for key in ("action", "dangerous", "merged", "received")
+        }
+        for step in episode:
+            after = step["next", "agents"]
+            maps.append(snapshot(after["map"], target))
+            discovered.append(after["discovered"])
+            events["action"].append(step["agents", "action"])
+            for key in ("dangerous", "merged", "received"):
+                events[key].append(after[key])
+    return Episodes(
+        maps=Snapshot(*(torch.stack(entry, 1) for entry in zip(*maps, strict=True))),
+        discovered=torch.stack(discovered, 1),
+        **{key: torch.stack(values, 1) for key, values in events.items()},
+        num_targets=target.flatten(-2).sum(-1),
+        num_cells=config.num_cells,
+        cell_size=config.cell_size,
+        max_discovery=config.max_discovery,
+    )
+
+
+def evaluate(policy: Actor, config: ArenaConfig, **options: Any) -> dict[str, float]:
+    """The measures of ``metrics.summarize`` for one policy; options as for ``record``."""
+    return summarize(record(policy, config, **options))
+
+
+TABLE_COLUMNS = {
+    "steps to 95 %": "steps_to_95",
+    "steps to 100 %": "steps_to_100",
+    "complete": "complete",
+    "coverage at 50": "coverage_at_50",
+    "coverage at 150": "coverage_at_150",
+    "communicate": "communication_share",
+    "useful": "useful_share",
+    "overlap": "overlap",
+}
+"""Columns of the printed table; files hold every measure."""
+
+
+def format_table(results: dict[str, dict[str, float]]) -> str:
+    """A text table of policies by their main measures."""
+    columns = {
+        title: key
+        for title, key in TABLE_COLUMNS.items()
+        if all(key in row for row in results.values())
+    }
+    rows = [["policy", *columns]]
+    for name, measures in results.items():
+        rows.append([name, *(_format(measures[key]) for key in columns.values())])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
+    return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
+
+
+def _format(value: float) -> str:
+    return f"{value:.1f}" if abs(value) >= 2 else f"{value:.3f}"

@@ -1,0 +1,215 @@
+"""Measures of exploration episodes: what to record of each step, and what follows from it.
+
+``docs/metrics.md`` gives every formula. B is the number of episodes, T of steps, N of robots.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN
+
+THRESHOLDS = (0.80, 0.90, 0.95, 0.99, 1.00)
+"""Coverages whose first reaching is reported."""
+
+
+class Snapshot(NamedTuple):
+    """What is measured of the maps at one time; a leading or second time axis may be added."""
+
+    known_targets: Tensor
+    """Target cells each robot knows, int64 [B, N]."""
+    union_targets: Tensor
+    """Target cells some robot knows, int64 [B]."""
+    known_cells: Tensor
+    """|M_i|, int64 [B, N]."""
+    union_cells: Tensor
+    """Cells some robot knows, int64 [B]."""
+
+
+def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
+    """Count what maps int8 [B, N, H, W] know of all cells and of target cells bool [B, H, W]."""
+    known = grid != UNKNOWN
+    union = known.any(-3)
+    return Snapshot(
+        known_targets=(known & target.unsqueeze(-3)).flatten(-2).sum(-1),
+        union_targets=(union & target).flatten(-2).sum(-1),
+        known_cells=known.flatten(-2).sum(-1),
+        union_cells=union.flatten(-2).sum(-1),
+    )
+
+
+class Episodes(NamedTuple):
+    """Recorded episodes; step 0 of the first four entries is the reset."""
+
+    maps: Snapshot
+    """Counts with a time axis after B: [B, T + 1, N] or [B, T + 1]."""
+    action: Tensor
+    """int64 [B, T, N]."""
+    dangerous: Tensor
+    """bool [B, T, N]."""
+    merged: Tensor
+    """bool [B, T, N]."""
+    discovered: Tensor
+    """Own discoveries of each step, int64 [B, T + 1, N]."""
+    received: Tensor
+    """Cells a merge added, int64 [B, T, N]."""
+    num_targets: Tensor
+    """int64 [B]."""
+    num_cells: int
+    """H x W."""
+    cell_size: float
+    """D (metres)."""
+    max_discovery: int
+    """e_max."""
+
+    @property
+    def horizon(self) -> int:
+        """Steps T of every episode."""
+        return self.action.shape[1]
+
+
+def coverage(episodes: Episodes) -> dict[str, Tensor]:
+    """Shares of the target cells that are known, float64 [B, T + 1] each.
+
+    "largest", "mean" and "smallest" over the robots' maps, and "merged" for their union.
+    """
+    targets = episodes.num_targets[:, None]
+    own = episodes.maps.known_targets / targets.unsqueeze(-1).double()
+    return {
+        "largest": own.amax(-1),
+        "merged": episodes.maps.union_targets / targets.double(),
+        "mean": own.mean(-1),
+        "smallest": own.amin(-1),
+    }
+
+
+def known_ratio(episodes: Episodes) -> Tensor:
+    """The paper's ratio: cells of the largest map over H W, float64 [B, T + 1]."""
+    return episodes.maps.known_cells.amax(-1).double() / episodes.num_cells
+
+
+def steps_to(known: Tensor, targets: Tensor, share: float) -> Tensor:
+    """First step at which a share of the target cells is known, int64 [B]; T + 1 if never.
+
+    Args:
+        known: known target cells, int64 [B, T + 1].
+        targets: target cells, int64 [B].
+        share: in (0, 1]; whole cells are compared.
+    """
+    needed = (share * targets.double() - 1e-9).ceil().unsqueeze(-1)
+    reached = known >= needed
+    first = reached.to(torch.uint8).argmax(-1)
+    return torch.where(reached.any(-1), first, known.shape[-1])
+
+
+def before_completion(episodes: Episodes) -> Tensor:
+    """Steps taken while no map was complete, bool [B, T]."""
+    known = episodes.maps.known_targets.amax(-1)[:, :-1]
+    return known < episodes.num_targets.unsqueeze(-1)
+
+
+def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
+    """Communicate actions over all actions of each episode, float64 [B].
+
+    Args:
+        episodes: B episodes.
+        steps: bool [B, T], the steps that count; None: all.
+    """
+    return _share(episodes.action == COMMUNICATE, torch.ones_like(episodes.merged), steps)
+
+
+def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
+    """Communicate actions that enlarged the sender's map over all of them, float64 [B].
+
+    Lone ones count as useless; NaN where no robot communicated.
+    """
+    communicating = episodes.action == COMMUNICATE
+    return _share(communicating & (episodes.received > 0), communicating, steps)
+
+
+def dangerous_share(episodes: Episodes) -> Tensor:
+    """Refused moves over chosen moves, float64 [B]; NaN where no robot chose a move."""
+    return _share(episodes.dangerous, episodes.action < NUM_DIRECTIONS, None)
+
+
+def _share(part: Tensor, whole: Tensor, steps: Tensor | None) -> Tensor:
+    """Events of [B, T, N] over events, float64 [B]."""
+    if steps is not None:
+        part, whole = part & steps.unsqueeze(-1), whole & steps.unsqueeze(-1)
+    return part.flatten(1).sum(-1).double() / whole.flatten(1).sum(-1)
+
+
+def enlargements(episodes: Episodes) -> Tensor:
+    """Cells each merge added to each member's map, zeros included, int64 [number of merges]."""
+    return episodes.received[episodes.merged]
+
+
+def large_enlargement_share(episodes: Episodes) -> float:
+    """Share of the enlarging merges that added more than e_max cells; NaN without any."""
+    added = enlargements(episodes)
+    added = added[added > 0]
+    return float((added > episodes.max_discovery).double().mean())
+
+
+def cells_sent(episodes: Episodes) -> Tensor:
+    """|M_i| summed over every member of every merge, int64 [B] (cells)."""
+    own = episodes.maps.known_cells[:, 1:] - episodes.received  # what a member knew when it sent
+    return (own * episodes.merged).flatten(1).sum(-1)
+
+
+def cells_received(episodes: Episodes) -> Tensor:
+    """Cells that merges added to maps, int64 [B]."""
+    return episodes.received.flatten(1).sum(-1)
+
+
+def distance_travelled(episodes: Episodes) -> Tensor:
+    """Way of all robots, float64 [B] (metres): D per straight and sqrt(2) D per diagonal move."""
+    moved = (episodes.action < NUM_DIRECTIONS) & ~episodes.dangerous
+    diagonal = moved & (episodes.action % 2 == 1)
+    cells = moved.flatten(1).sum(-1) + (2**0.5 - 1) * diagonal.flatten(1).sum(-1).double()
+    return cells * episodes.cell_size
+
+
+def overlap(episodes: Episodes) -> Tensor:
+    """Own discoveries of all robots over the union of the maps, minus 1, float64 [B]."""
+    discovered = episodes.discovered.flatten(1).sum(-1).double()
+    return discovered / episodes.maps.union_cells[:, -1] - 1
+
+
+def summarize(episodes: Episodes) -> dict[str, float]:
+    """Means over episodes of every measure, by name; shares ignore episodes without events."""
+    maps, targets = episodes.maps, episodes.num_targets
+    largest, smallest = maps.known_targets.amax(-1), maps.known_targets.amin(-1)
+    curves = coverage(episodes)
+    unfinished = before_completion(episodes)
+    summary: dict[str, Tensor | float] = {}
+    for share in THRESHOLDS:
+        percent = round(100 * share)
+        summary[f"steps_to_{percent}"] = steps_to(largest, targets, share)
+        summary[f"merged_steps_to_{percent}"] = steps_to(maps.union_targets, targets, share)
+    summary["steps_to_all_complete"] = steps_to(smallest, targets, 1.0)
+    summary["complete"] = (largest[:, -1] == targets).double()
+    for step in (50, 150, episodes.horizon):
+        if step <= episodes.horizon:
+            summary[f"coverage_at_{step}"] = curves["largest"][:, step]
+    summary |= {f"final_{name}_coverage": curve[:, -1] for name, curve in curves.items()}
+    summary |= {
+        "final_known_ratio": known_ratio(episodes)[:, -1],
+        "communication_share": communication_share(episodes),
+        "useful_share": useful_share(episodes),
+        "communication_share_before_completion": communication_share(episodes, unfinished),
+        "useful_share_before_completion": useful_share(episodes, unfinished),
+        "large_enlargement_share": large_enlargement_share(episodes),
+        "cells_sent": cells_sent(episodes),
+        "cells_received": cells_received(episodes),
+        "dangerous_share": dangerous_share(episodes),
+        "distance_m": distance_travelled(episodes),
+        "overlap": overlap(episodes),
+    }
+    return {
+        name: float(torch.as_tensor(value, dtype=torch.float64).nanmean())
+        for name, value in summary.items()
+    }

@@ -1,0 +1,32 @@
+"""When a planner communicates: rules from observations to a bool per robot [*B, N]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from marl_explore.core.radio import in_range
+
+CommunicationRule = Callable[[TensorDictBase], Tensor]
+
+
+def never(tensordict: TensorDictBase) -> Tensor:
+    """No robot ever communicates."""
+    return torch.zeros_like(tensordict.get(("agents", "merged")))
+
+
+def pair_timer(steps: int, range_cells: float) -> CommunicationRule:
+    """Communicate beside a robot in range last merged with ``steps`` ago or more, or never.
+
+    The rule is symmetric: both robots of a pair come to it without a message.
+    """
+
+    def rule(tensordict: TensorDictBase) -> Tensor:
+        # a robot's counter with itself stays 0, so it never counts as its own partner
+        overdue = tensordict.get(("agents", "steps_since_merge")) >= steps
+        return (overdue & in_range(tensordict.get(("agents", "position")), range_cells)).any(-1)
+
+    return rule

@@ -1,0 +1,177 @@
+"""Trained policies as files: the actors of a team with the features they were trained on.
+
+A file is safetensors (weights only, nothing in it is executed) whose metadata say how to build
+the networks.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import nn
+
+from marl_explore.config import ArenaConfig
+from marl_explore.core.frontier import Normalization
+from marl_explore.models import Architecture, StackedActors, make_actor, probabilistic_actor
+from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
+
+FORMAT = "marl_explore.policy/1"
+POLICY_FILE = "policy.safetensors"
+BUNDLED = Path(__file__).parent / "policies"
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """What the networks of a policy are built from."""
+
+    arena: ArenaConfig
+    architecture: Architecture
+    hidden: tuple[int, ...]
+    fpr: Normalization | None
+
+    def make_actors(self) -> list[nn.Module]:
+        """A freshly initialised network per robot."""
+        return [
+            make_actor(self.arena, self.architecture, self.hidden)
+            for _ in range(self.arena.num_agents)
+        ]
+
+
+class Policy(TensorDictModuleBase):
+    """A team of actors that computes its own features: it acts on any ``ExplorationEnv``.
+
+    Reads "map", "position", "action_mask" and ("observation", "fov") of the group "agents" and
+    writes ("agents", "action") int64 [*B, N]. Actions are sampled, unless
+    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` asks for the likeliest.
+
+    Args:
+        spec: what the networks were built from.
+        actors: a network per robot.
+    """
+
+    in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys so
+        ("agents", "map"),
+        ("agents", "position"),
+        ("agents", "action_mask"),
+        ("agents", "observation", "fov"),
+    ]
+    out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
+
+    def __init__(self, spec: PolicySpec, actors: Iterable[nn.Module]) -> None:
+        super().__init__()
+        self.spec = spec
+        self.actors = StackedActors(actors)
+        self._features = nn.Sequential(
+            FrontierReachability(normalize=spec.fpr),
+            CommunicationNeighbors(range_cells=spec.arena.communication_cells),
+        )
+        self._act = probabilistic_actor(self.actors)
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ("agents", "action")."""
+        observation = tensordict.select(*self.in_keys)
+        self._check(observation)
+        acted = self._act(self._features(observation))
+        return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
+
+    def _check(self, observation: TensorDictBase) -> None:
+        robots = observation.get(("agents", "position")).shape[-2]
+        if robots != self.spec.arena.num_agents:
+            raise ValueError(
+                f"the policy was trained for num_agents={self.spec.arena.num_agents}, "
+                f"and the environment has {robots} robots"
+            )
+        side = observation.get(("agents", "observation", "fov")).shape[-1]
+        if side != self.spec.arena.fov_size:
+            raise ValueError(
+                f"the policy was trained for fov_radius={self.spec.arena.fov_radius}, "
+                f"and the environment's field of view is {side} x {side} cells"
+            )
+
+
+def save_policy(policy: Policy, path: str | Path, info: Mapping[str, Any] | None = None) -> Path:
+    """Write a policy to a file, or to ``policy.safetensors`` in a folder.
+
+    Args:
+        policy: the team.
+        path: a file ending in .safetensors, or an existing folder.
+        info: where the policy comes from (seed, command, scores); kept with the weights.
+    """
+    path = _file_of(Path(path))
+    metadata = {
+        "format": FORMAT,
+        "spec": json.dumps(asdict(policy.spec)),
+        "info": json.dumps(dict(info or {})),
+    }
+    weights = {name: tensor.contiguous() for name, tensor in policy.actors.state_dict().items()}
+    unfinished = path.with_name(path.name + ".unfinished")
+    save_file(weights, unfinished, metadata)
+    os.replace(unfinished, path)
+    return path
+
+
+def load_policy(path_or_name: str | Path) -> Policy:
+    """The policy in a file or run folder, or a bundled one by name (``list_policies``).
+
+    Raises:
+        ValueError: when there is no such policy, or the file is not one.
+    """
+    path = _find(path_or_name)
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} is not a readable policy file: {error}") from error
+    if metadata.get("format") != FORMAT:
+        raise ValueError(
+            f"{path} is not a policy of this package: its format is "
+            f"{metadata.get('format')!r}, expected {FORMAT!r}"
+        )
+    fields = json.loads(metadata["spec"])
+    spec = PolicySpec(
+        arena=ArenaConfig(**fields["arena"]),
+        architecture=fields["architecture"],
+        hidden=tuple(fields["hidden"]),
+        fpr=fields["fpr"],
+    )
+    policy = Policy(spec, spec.make_actors())
+    policy.actors.load_state_dict(weights)
+    return policy.eval()
+
+
+def policy_info(path_or_name: str | Path) -> dict[str, Any]:
+    """The information that was saved with a policy."""
+    with safe_open(_find(path_or_name), framework="pt") as file:
+        return json.loads((file.metadata() or {}).get("info", "{}"))
+
+
+def list_policies() -> list[str]:
+    """Names of the policies that come with the package."""
+    return sorted(file.name.removesuffix(".safetensors") for file in BUNDLED.glob("*.safetensors"))
+
+
+def _file_of(path: Path) -> Path:
+    return path / POLICY_FILE if path.is_dir() else path
+
+
+def _find(path_or_name: str | Path) -> Path:
+    bundled = BUNDLED / f"{path_or_name}.safetensors"
+    path = bundled if bundled.is_file() else _file_of(Path(path_or_name))
+    if not path.is_file():
+        raise ValueError(
+            f"no policy {str(path_or_name)!r}: it is neither a file, nor a run folder with "
+            f"{POLICY_FILE}, nor one of the bundled policies {list_policies()}"
+        )
+    return path

@@ -1,0 +1,65 @@
+"""FPR: how many frontiers lie behind each direction, and how far."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
+
+from marl_explore.core.frontier import NORMALIZATIONS, Normalization, feature_table
+from marl_explore.core.grid import NUM_DIRECTIONS
+from marl_explore.transforms.base import FeatureTransform
+
+_FEATURES = 3
+
+
+class FrontierReachability(FeatureTransform):
+    """The 8 x 3 table of trajectories to the frontiers of each robot's map (Algorithm 1).
+
+    Reads maps int8 [*B, H, W] (-1 unknown, 0 free, 1 occupied) and positions int64 [*B, 2];
+    writes float32 [*B, 8, 3]: number, mean length and deviation of the shortest paths to the
+    frontiers whose first move goes N, NE, E, SE, S, SW, W, NW.
+
+    Args:
+        map_key: entry with the maps.
+        position_key: entry with the (row, column) positions.
+        out_key: entry to write.
+        normalize: "relative", "proximity", "absolute" or None for cells.
+        backend: "auto" or "torch".
+
+    Raises:
+        ValueError: for an unknown normalisation or backend, or entries of another dtype or shape.
+    """
+
+    def __init__(
+        self,
+        map_key: NestedKey = ("agents", "map"),
+        position_key: NestedKey = ("agents", "position"),
+        out_key: NestedKey = ("agents", "observation", "fpr"),
+        normalize: Normalization | None = "relative",
+        backend: str = "auto",
+    ) -> None:
+        if normalize not in NORMALIZATIONS:
+            raise ValueError(f"normalize={normalize!r} is not one of {NORMALIZATIONS}")
+        if backend not in ("auto", "torch"):
+            raise ValueError(f"backend={backend!r} is not one of ('auto', 'torch')")
+        super().__init__([map_key, position_key], out_key)
+        self.normalize: Normalization | None = normalize
+
+    def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
+        """The feature table float32 [*B, 8, 3] of maps [*B, H, W] and positions [*B, 2]."""
+        if grid.dtype != torch.int8 or grid.ndim < 2:
+            raise ValueError(
+                f"FrontierReachability: {self.in_keys[0]!r} must be int8 of shape [*B, H, W], "
+                f"got {grid.dtype} of shape {tuple(grid.shape)}"
+            )
+        self._require_cells(position, grid.shape[:-2])
+        return feature_table(grid, position, self.normalize)
+
+    def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:  # type: ignore[override]
+        """Bounds of the table: 1 where normalised by the robot's own longest path."""
+        height, width = grid.shape[-2:]
+        high = 1 if self.normalize in ("relative", "proximity") else height * width
+        shape = (*grid.shape[:-2], NUM_DIRECTIONS, _FEATURES)
+        return Bounded(0, high, shape=shape, dtype=torch.float32, device=grid.device)

@@ -1,0 +1,49 @@
+"""NET: which robots are within communication range."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
+
+from marl_explore.core.radio import in_range
+from marl_explore.transforms.base import FeatureTransform
+
+
+class CommunicationNeighbors(FeatureTransform):
+    """Whether each pair of robots is in communication range; a robot is in range of itself.
+
+    Reads positions int64 [*B, N, 2] (cells) and writes float32 [*B, N, N] of 0 and 1.
+
+    Args:
+        position_key: entry with the (row, column) positions of a team.
+        out_key: entry to write.
+        range_cells: largest distance of cell centres (cells; may be infinite).
+
+    Raises:
+        ValueError: for a negative range, or positions of another dtype or shape.
+    """
+
+    def __init__(
+        self,
+        position_key: NestedKey = ("agents", "position"),
+        out_key: NestedKey = ("agents", "observation", "net"),
+        range_cells: float = 6.4,
+    ) -> None:
+        if math.isnan(range_cells) or range_cells < 0:
+            raise ValueError(f"range_cells={range_cells!r} is not allowed: it must be at least 0")
+        super().__init__([position_key], out_key)
+        self.range_cells = range_cells
+
+    def compute(self, position: Tensor) -> Tensor:  # type: ignore[override]
+        """NET float32 [*B, N, N] of positions [*B, N, 2]."""
+        self._require_cells(position, position.shape[:-1])
+        return in_range(position, self.range_cells).float()
+
+    def feature_spec(self, position: TensorSpec) -> TensorSpec:  # type: ignore[override]
+        """Bounds 0 and 1, shape [*B, N, N]."""
+        shape = (*position.shape[:-1], position.shape[-2])
+        return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)
