@@ -15,7 +15,8 @@ def _require(condition: bool, name: str, value: object, allowed: str) -> None:
         raise ValueError(f"{name}={value!r} is not allowed: {allowed}")
 
 
-def _require_integer(name: str, value: object, low: int) -> None:
+def require_integer(name: str, value: object, low: int) -> None:
+    """Refuse what is no integer of at least ``low``."""
     integer = isinstance(value, int) and not isinstance(value, bool)
     _require(
         integer and value >= low,  # type: ignore[operator]
@@ -23,6 +24,11 @@ def _require_integer(name: str, value: object, low: int) -> None:
         value,
         f"it must be an integer of at least {low}",
     )
+
+
+def require_coverage(name: str, value: float | None) -> None:
+    """Refuse a share of coverage that ends no episode or all of them."""
+    _require(value is None or 0 < value <= 1, name, value, "it must be None or lie in (0, 1]")
 
 
 @dataclass(frozen=True)
@@ -52,9 +58,9 @@ class ArenaConfig:
 
     def __post_init__(self) -> None:
         """Refuse settings that describe no arena."""
-        _require_integer("height", self.height, 1)
-        _require_integer("width", self.width, 1)
-        _require_integer("num_agents", self.num_agents, 1)
+        require_integer("height", self.height, 1)
+        require_integer("width", self.width, 1)
+        require_integer("num_agents", self.num_agents, 1)
         for name in ("cell_size", "sensing_range"):
             value = getattr(self, name)
             _require(
@@ -77,7 +83,8 @@ class ArenaConfig:
             self.fov_radius >= 1,
             "sensing_range",
             self.sensing_range,
-            f"it must be at least {smallest:.4g} m to hold a 3 x 3 square of {self.cell_size} m cells",
+            f"it must be at least {smallest:.4g} m to hold a 3 x 3 square of "
+            f"{self.cell_size} m cells",
         )
         _require(
             not self.occlusion or self.fov_radius == 1,
@@ -187,8 +194,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Refuse settings that describe no run."""
         for name in ("episodes", "episode_steps", "num_envs", "rollout_steps", "ppo_epochs"):
-            _require_integer(name, getattr(self, name), 1)
-        _require_integer("seed", self.seed, 0)
+            require_integer(name, getattr(self, name), 1)
+        require_integer("seed", self.seed, 0)
         _require(
             isinstance(self.minibatches, int) and 1 <= self.minibatches <= self.batch_frames,
             "minibatches",
@@ -196,13 +203,14 @@ class TrainConfig:
             f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",
         )
         for width in self.hidden:
-            _require_integer("hidden", width, 1)
+            require_integer("hidden", width, 1)
         _require(len(self.hidden) > 0, "hidden", self.hidden, "it needs at least one width")
         for name in ("clip_epsilon", "actor_lr", "critic_lr", "adam_eps", "max_grad_norm"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
         _require(
             self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
         )
+        require_coverage("terminate_at_coverage", self.terminate_at_coverage)
         for name in ("gamma", "lmbda"):
             _require(
                 0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"

@@ -12,7 +12,7 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_explore import arenas as suites
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ArenaConfig, require_coverage, require_integer
 from marl_explore.core import mapping, motion, radio, rewards, world
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.hashing import combine, text_key
@@ -76,14 +76,10 @@ class ExplorationEnv(EnvBase):
         device: torch.device | str = "cpu",
     ) -> None:
         config = config or ArenaConfig()
-        _require_at_least("num_envs", num_envs, 1)
-        _require_at_least("max_steps", max_steps, 1)
-        _require_at_least("first_arena", first_arena, 0)
-        if terminate_at_coverage is not None and not 0 < terminate_at_coverage <= 1:
-            raise ValueError(
-                f"terminate_at_coverage={terminate_at_coverage!r} is not allowed: "
-                "it must be None or lie in (0, 1]"
-            )
+        require_integer("num_envs", num_envs, 1)
+        require_integer("max_steps", max_steps, 1)
+        require_integer("first_arena", first_arena, 0)
+        require_coverage("terminate_at_coverage", terminate_at_coverage)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
         self.max_steps = max_steps
@@ -96,8 +92,7 @@ class ExplorationEnv(EnvBase):
         self._seed = seed
         # -1: no arena drawn yet; the first reset draws episode 0
         self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=self.device)
-        self._world: WorldState | None = None
-        self._last: LastStep | None = None
+        self._state: tuple[WorldState, LastStep] | None = None
         self._restored = False
         self._make_specs()
 
@@ -161,6 +156,12 @@ class ExplorationEnv(EnvBase):
         """Number of arenas B."""
         return self.batch_size[0]
 
+    @property
+    def _now(self) -> tuple[WorldState, LastStep]:
+        if self._state is None:
+            raise RuntimeError("ExplorationEnv has no arenas yet: call reset() first")
+        return self._state
+
     # ------------------------------------------------------------------ reset
 
     def _set_seed(self, seed: int | None) -> None:
@@ -176,21 +177,20 @@ class ExplorationEnv(EnvBase):
         if set_state and tensordict is not None:
             given = self._given_state(tensordict)
             rows = self._rows(flagged)
-            last = self._at_rest(given, first="map" not in tensordict.get("agents").keys())
+            underway = tensordict.get(("agents", "map"), None) is not None
+            last = _at_rest(given, first=not underway)
             self._replace_rows(rows, *(_take(part, rows) for part in (given, last)))
-        elif self._restored and flagged is None:
-            pass  # the state that was loaded is the one to go on from
-        else:
+        elif not self._restored or flagged is not None:
             rows = self._rows(flagged)
             fresh = self._draw(rows)
-            self._replace_rows(rows, fresh, self._at_rest(fresh, first=True))
-        self._restored = False
+            self._replace_rows(rows, fresh, _at_rest(fresh, first=True))
+        self._restored = False  # else: the state that was loaded is the one to go on from
         output = self._observe()
         return output.update(self.full_done_spec.zero())
 
     def _rows(self, flagged: Tensor | None) -> Tensor:
         """Indices of the arenas to reset, int64 [A]."""
-        if flagged is None:
+        if flagged is None or self._state is None:
             return torch.arange(self.num_envs, device=self.device)
         return flagged.flatten().nonzero().squeeze(-1)
 
@@ -228,50 +228,40 @@ class ExplorationEnv(EnvBase):
 
     def _replace_rows(self, rows: Tensor, fresh: WorldState, last: LastStep) -> None:
         """Write fresh arenas into the state, leaving tensors that were handed out untouched."""
-        if self._world is None or self._last is None or len(rows) == self.num_envs:
-            self._world, self._last = fresh, last
-            return
-        self._world = WorldState(*_written(self._world, rows, fresh))
-        self._last = LastStep(*_written(self._last, rows, last))
-
-    def _at_rest(self, state: WorldState, first: bool) -> LastStep:
-        """The record of no step; at a first sensing the known cells are discoveries."""
-        known = mapping.known_cells(state.map)
-        nothing = torch.zeros_like(known)
-        no = nothing.bool()
-        return LastStep(
-            dangerous=no,
-            merged=no.clone(),
-            discovered=known if first else nothing.clone(),
-            received=nothing,
-            individual_reward=nothing.float().unsqueeze(-1),
-        )
+        if self._state is None or len(rows) == self.num_envs:
+            self._state = fresh, last
+        else:
+            old, old_last = self._state
+            self._state = (
+                WorldState(*_written(old, rows, fresh)),
+                LastStep(*_written(old_last, rows, last)),
+            )
 
     # ------------------------------------------------------------------- step
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get(("agents", "action"))
-        self._world, record = world.advance(self.config, self._world, action)
+        state, record = world.advance(self.config, self._now[0], action)
         reward = self._reward(record)
-        self._last = LastStep(
+        last = LastStep(
             dangerous=record.dangerous,
             merged=record.merged,
             discovered=record.discovered,
             received=record.received,
             individual_reward=reward.unsqueeze(-1),
         )
+        self._state = state, last
         output = self._observe()
-        terminated = self._covered().unsqueeze(-1)
-        truncated = self._world.step_count >= self.max_steps
+        terminated = self._covered(state).unsqueeze(-1)
+        truncated = state.step_count >= self.max_steps
         output.set("reward", reward.mean(-1, keepdim=True))
         output.set("terminated", terminated)
         output.set("truncated", truncated)
         output.set("done", terminated | truncated)
         return output
 
-    def _covered(self) -> Tensor:
+    def _covered(self, state: WorldState) -> Tensor:
         """Arenas whose largest map covers the share that ends an episode, bool [B]."""
-        state = self._world
         if self.terminate_at_coverage is None:
             return torch.zeros(self.batch_size, dtype=torch.bool, device=self.device)
         largest = mapping.known_targets(state.map, state.target).amax(-1)
@@ -281,7 +271,7 @@ class ExplorationEnv(EnvBase):
 
     def _observe(self) -> TensorDict:
         """All observation entries, in one nested TensorDict."""
-        state, config = self._world, self.config
+        (state, last), config = self._now, self.config
         reach = radio.in_range(state.position, config.communication_cells)
         moves = motion.open_moves(state.obstacles, state.position)
         fov = mapping.field_of_view(
@@ -296,7 +286,7 @@ class ExplorationEnv(EnvBase):
                 "steps_since_merge": state.steps_since_merge,
                 "action_mask": motion.action_mask(moves, reach),
                 "observation": TensorDict({"fov": fov}, batch_size=group, device=self.device),
-                **self._last._asdict(),
+                **last._asdict(),
             },
             batch_size=group,
             device=self.device,
@@ -310,7 +300,7 @@ class ExplorationEnv(EnvBase):
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
         """Uniform random actions among the allowed ones (of the current state without input)."""
         if tensordict is None:
-            if self._world is None:
+            if self._state is None:
                 return super().rand_action(None)
             mask = self._observe().get(("agents", "action_mask"))
             tensordict = TensorDict({}, batch_size=self.batch_size, device=self.device)
@@ -322,14 +312,14 @@ class ExplorationEnv(EnvBase):
 
     # ------------------------------------------------------------ state, device
 
-    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:  # type: ignore[override]
+    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
         """Everything the future of the environment depends on, as tensors and integers."""
         state: dict[str, Any] = {"seed": self._seed, "episode": self._episode}
-        for part in (self._world, self._last):
-            state.update(part._asdict() if part is not None else {})
+        for part in self._state or ():
+            state.update(part._asdict())
         return state
 
-    def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:  # type: ignore[override]
+    def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Go on from a ``state_dict``: the next full reset returns its observation.
 
         Raises:
@@ -352,24 +342,32 @@ class ExplorationEnv(EnvBase):
         self._episode = state_dict["episode"].to(self.device)
         if "map" in state_dict:
             self._check_entries({name: state_dict[name] for name in _WORLD_KEYS.values()})
-            self._world, self._last = (
-                part(*(state_dict[name].to(self.device) for name in part._fields))
-                for part in (WorldState, LastStep)
+            self._state = (
+                WorldState(*(state_dict[name].to(self.device) for name in WorldState._fields)),
+                LastStep(*(state_dict[name].to(self.device) for name in LastStep._fields)),
             )
             self._restored = True
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ExplorationEnv:
         """Move the state along when the environment moves to another device."""
         self._episode = fn(self._episode)
-        if self._world is not None and self._last is not None:
-            self._world = WorldState(*map(fn, self._world))
-            self._last = LastStep(*map(fn, self._last))
+        if self._state is not None:
+            state, last = self._state
+            self._state = WorldState(*map(fn, state)), LastStep(*map(fn, last))
         return super()._apply(fn, recurse)
 
 
-def _require_at_least(name: str, value: int, low: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
-        raise ValueError(f"{name}={value!r} is not allowed: it must be an integer of at least {low}")
+def _at_rest(state: WorldState, first: bool) -> LastStep:
+    """The record of no step; at a first sensing the known cells are discoveries."""
+    known = mapping.known_cells(state.map)
+    nothing = torch.zeros_like(known)
+    return LastStep(
+        dangerous=nothing.bool(),
+        merged=nothing.bool(),
+        discovered=known if first else nothing,
+        received=nothing.clone(),
+        individual_reward=nothing.float().unsqueeze(-1),
+    )
 
 
 def _take(part: Any, rows: Tensor) -> Any:

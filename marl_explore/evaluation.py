@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -19,6 +22,7 @@ from marl_explore.policies import list_policies, load_policy
 Actor = Callable[[TensorDictBase], TensorDictBase]
 
 TEST_STREAM = "test"
+EVENTS = ("dangerous", "merged", "discovered", "received")
 
 
 def find_policy(name: str, config: ArenaConfig) -> Actor:
@@ -37,14 +41,27 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
         ) from error
 
 
-def play(policy: Actor, env: ExplorationEnv, steps: int) -> Iterator[TensorDictBase]:
-    """The TensorDicts of an episode: the reset, then every step's with "next" in it."""
-    tensordict = env.reset()
-    yield tensordict
+def play(
+    policy: Actor, env: ExplorationEnv, steps: int, until_done: bool = False
+) -> Iterator[TensorDictBase]:
+    """The observations of an episode, the reset's first.
+
+    Each later one also holds the ("agents", "action") that led to it.
+
+    Args:
+        policy: TensorDict in, action out.
+        env: reset by this function, never in between.
+        steps: most steps to take.
+        until_done: whether to stop when every arena is done.
+    """
+    observation = env.reset()
+    yield observation
     for _ in range(steps):
-        stepped = env.step(policy(tensordict))
-        yield stepped
-        tensordict = step_mdp(stepped)
+        stepped = env.step(policy(observation))
+        observation = step_mdp(stepped, exclude_action=False)
+        yield observation
+        if until_done and observation["done"].all():
+            return
 
 
 def record(
@@ -72,20 +89,17 @@ def record(
         start = next(episode)
         target = target_cells(start["obstacles"], start["agents", "position"])
         maps = [snapshot(start["agents", "map"], target)]
-        discovered = [start["agents", "discovered"]]
-        events: dict[str, list[torch.Tensor]] = {
-            key: [] for key in ("action", "dangerous", "merged", "received")
-        }
-        for step in episode:
-            after = step["next", "agents"]
-            maps.append(snapshot(after["map"], target))
-            discovered.append(after["discovered"])
-            events["action"].append(step["agents", "action"])
-            for key in ("dangerous", "merged", "received"):
-                events[key].append(after[key])
+        events = {key: [start["agents", key]] for key in EVENTS}
+        actions = []
+        for observation in episode:
+            agents = observation["agents"]
+            maps.append(snapshot(agents["map"], target))
+            actions.append(agents["action"])
+            for key, values in events.items():
+                values.append(agents[key])
     return Episodes(
         maps=Snapshot(*(torch.stack(entry, 1) for entry in zip(*maps, strict=True))),
-        discovered=torch.stack(discovered, 1),
+        action=torch.stack(actions, 1),
         **{key: torch.stack(values, 1) for key, values in events.items()},
         num_targets=target.flatten(-2).sum(-1),
         num_cells=config.num_cells,
@@ -128,4 +142,22 @@ def format_table(results: dict[str, dict[str, float]]) -> str:
 
 
 def _format(value: float) -> str:
+    if value != value:  # NaN: nothing happened that could be measured
+        return "-"
     return f"{value:.1f}" if abs(value) >= 2 else f"{value:.3f}"
+
+
+def write_results(
+    folder: Path, results: dict[str, dict[str, float]], record: dict[str, Any]
+) -> None:
+    """Write every measure as results.json and results.csv, and the main ones as table.txt."""
+    measures = {n: {k: v if v == v else None for k, v in r.items()} for n, r in results.items()}
+    (folder / "results.json").write_text(
+        json.dumps({"results": measures, "run": record}, indent=2, default=str) + "\n"
+    )
+    (folder / "table.txt").write_text(format_table(results) + "\n")
+    with (folder / "results.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        names = list(next(iter(results.values())))
+        writer.writerow(["policy", *names])
+        writer.writerows([policy, *(row[n] for n in names)] for policy, row in results.items())

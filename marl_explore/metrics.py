@@ -42,20 +42,20 @@ def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
 
 
 class Episodes(NamedTuple):
-    """Recorded episodes; step 0 of the first four entries is the reset."""
+    """Recorded episodes; step 0 of every entry but ``action`` is the reset."""
 
     maps: Snapshot
     """Counts with a time axis after B: [B, T + 1, N] or [B, T + 1]."""
     action: Tensor
     """int64 [B, T, N]."""
     dangerous: Tensor
-    """bool [B, T, N]."""
+    """bool [B, T + 1, N]."""
     merged: Tensor
-    """bool [B, T, N]."""
+    """bool [B, T + 1, N]."""
     discovered: Tensor
-    """Own discoveries of each step, int64 [B, T + 1, N]."""
+    """Own discoveries of each step, int64 [B, T + 1, N] (cells)."""
     received: Tensor
-    """Cells a merge added, int64 [B, T, N]."""
+    """What a merge added to each map, int64 [B, T + 1, N] (cells)."""
     num_targets: Tensor
     """int64 [B]."""
     num_cells: int
@@ -118,7 +118,8 @@ def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Tens
         episodes: B episodes.
         steps: bool [B, T], the steps that count; None: all.
     """
-    return _share(episodes.action == COMMUNICATE, torch.ones_like(episodes.merged), steps)
+    communicating = episodes.action == COMMUNICATE
+    return _share(communicating, torch.ones_like(communicating), steps)
 
 
 def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
@@ -127,12 +128,12 @@ def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
     Lone ones count as useless; NaN where no robot communicated.
     """
     communicating = episodes.action == COMMUNICATE
-    return _share(communicating & (episodes.received > 0), communicating, steps)
+    return _share(communicating & (episodes.received[:, 1:] > 0), communicating, steps)
 
 
 def dangerous_share(episodes: Episodes) -> Tensor:
     """Refused moves over chosen moves, float64 [B]; NaN where no robot chose a move."""
-    return _share(episodes.dangerous, episodes.action < NUM_DIRECTIONS, None)
+    return _share(episodes.dangerous[:, 1:], episodes.action < NUM_DIRECTIONS, None)
 
 
 def _share(part: Tensor, whole: Tensor, steps: Tensor | None) -> Tensor:
@@ -156,7 +157,7 @@ def large_enlargement_share(episodes: Episodes) -> float:
 
 def cells_sent(episodes: Episodes) -> Tensor:
     """|M_i| summed over every member of every merge, int64 [B] (cells)."""
-    own = episodes.maps.known_cells[:, 1:] - episodes.received  # what a member knew when it sent
+    own = episodes.maps.known_cells - episodes.received  # what a member knew when it sent
     return (own * episodes.merged).flatten(1).sum(-1)
 
 
@@ -167,7 +168,7 @@ def cells_received(episodes: Episodes) -> Tensor:
 
 def distance_travelled(episodes: Episodes) -> Tensor:
     """Way of all robots, float64 [B] (metres): D per straight and sqrt(2) D per diagonal move."""
-    moved = (episodes.action < NUM_DIRECTIONS) & ~episodes.dangerous
+    moved = (episodes.action < NUM_DIRECTIONS) & ~episodes.dangerous[:, 1:]
     diagonal = moved & (episodes.action % 2 == 1)
     cells = moved.flatten(1).sum(-1) + (2**0.5 - 1) * diagonal.flatten(1).sum(-1).double()
     return cells * episodes.cell_size

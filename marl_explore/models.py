@@ -27,7 +27,9 @@ from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
 Architecture = Literal["mlp", "cnn"]
 CriticInput = Literal["observation", "state"]
 
-OBSERVATION_KEYS: list[NestedKey] = [("agents", "observation", key) for key in ("fov", "fpr", "net")]
+OBSERVATION_KEYS: list[NestedKey] = [
+    ("agents", "observation", key) for key in ("fov", "fpr", "net")
+]
 STATE_KEYS: list[NestedKey] = ["obstacles", ("agents", "position"), ("agents", "map")]
 _EVENT_DIMS = (2, 2, 1)  # of fov, fpr and net
 _FPR_SIZE = NUM_DIRECTIONS * 3
@@ -153,8 +155,9 @@ class CNNCritic(nn.Module):
 
     def __init__(self, config: ArenaConfig, hidden: int = 300) -> None:
         super().__init__()
-        self.encoders = nn.ModuleList(CNNEncoder(config) for _ in range(config.num_agents))
-        size = sum(encoder.size for encoder in self.encoders)
+        encoders = [CNNEncoder(config) for _ in range(config.num_agents)]
+        size = sum(encoder.size for encoder in encoders)
+        self.encoders = nn.ModuleList(encoders)
         self.head = nn.Sequential(nn.Linear(size, hidden), nn.ReLU(), nn.Linear(hidden, 1))
         initialize(nn.Sequential(self.encoders, self.head), CRITIC_GAIN)
 
@@ -167,6 +170,8 @@ class CNNCritic(nn.Module):
 
 class StateCritic(nn.Module):
     """Value [*B, 1] of the true state: obstacles, positions, and what every map knows."""
+
+    size: Tensor
 
     def __init__(
         self, config: ArenaConfig, hidden: Sequence[int] = (2400, 300), norm_last: bool = False

@@ -54,9 +54,7 @@ class Trainer:
         spec = PolicySpec(config.arena, config.architecture, config.hidden, config.fpr)
         self.policy = Policy(spec, spec.make_actors())
         networks = self.policy.actors
-        critic = make_critic(
-            config.arena, config.architecture, config.hidden, config.critic_reads
-        )
+        critic = make_critic(config.arena, config.architecture, config.hidden, config.critic_reads)
         names = [f"robot_{i}" for i in range(config.arena.num_agents)]
         self.loss = HAPPOLoss(
             {n: probabilistic_actor(a) for n, a in zip(names, networks.actors, strict=True)},
@@ -166,4 +164,4 @@ def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
 
 def _log(logs: dict[str, list[float]], output: TensorDictBase, keys: Iterable[str]) -> None:
     for key in keys:
-        logs.setdefault(key, []).append(float(output[key]))
+        logs.setdefault(key, []).append(output[key].item())

@@ -100,7 +100,7 @@ def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Traject
 class Moments(NamedTuple):
     """Path lengths of M robots, summed up: float64 [M, 8] each, the longest path [M, 1]."""
 
-    count: Tensor
+    number: Tensor
     total: Tensor
     squares: Tensor
     longest: Tensor
@@ -113,7 +113,8 @@ def _moments(found: Trajectories, robots: int) -> Moments:
     sums = powers.new_zeros(robots * NUM_DIRECTIONS, 3)
     sums.index_add_(0, found.robot * NUM_DIRECTIONS + found.direction, powers)
     longest = length.new_zeros(robots).scatter_reduce_(0, found.robot, length, "amax")
-    return Moments(*sums.view(robots, NUM_DIRECTIONS, 3).unbind(-1), longest.unsqueeze(-1))
+    number, total, squares = sums.view(robots, NUM_DIRECTIONS, 3).unbind(-1)
+    return Moments(number, total, squares, longest.unsqueeze(-1))
 
 
 def _first_moves(grid: Tensor, position: Tensor, passable: Tensor) -> tuple[Tensor, Tensor]:
@@ -126,7 +127,9 @@ def _first_moves(grid: Tensor, position: Tensor, passable: Tensor) -> tuple[Tens
     front = torch.zeros_like(fresh)
     step_row, step_column = compass(grid.device).T.unsqueeze(-1)
     bits = torch.tensor([[1 << d] for d in range(NUM_DIRECTIONS)], device=grid.device).byte()
-    open_beside = passable[row + step_row, column, robot] | passable[row, column + step_column, robot]
+    open_beside = (
+        passable[row + step_row, column, robot] | passable[row, column + step_column, robot]
+    )
     front[row + step_row, column + step_column, robot] = open_beside & bits
     return front, fresh
 

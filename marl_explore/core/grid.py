@@ -37,7 +37,7 @@ def square_offsets(radius: int, device: torch.device) -> Tensor:
 
 
 def read_cells(grid: Tensor, cells: Tensor, outside: bool | int) -> Tensor:
-    """Values of a grid [*B, H, W] at cells [*B, ..., 2]; ``outside`` where a cell is off the grid."""
+    """Values of a grid [*B, H, W] at cells [*B, ..., 2]; ``outside`` for cells off the grid."""
     height, width = grid.shape[-2:]
     row, column = cells.unbind(-1)
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)

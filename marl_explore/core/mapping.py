@@ -139,4 +139,3 @@ def connected(obstacles: Tensor) -> Tensor:
 def known_targets(grid: Tensor, target: Tensor) -> Tensor:
     """Target cells [*B, H, W] that each robot's map [*B, N, H, W] knows, int64 [*B, N]."""
     return ((grid != UNKNOWN) & target.unsqueeze(-3)).flatten(-2).sum(-1)
-

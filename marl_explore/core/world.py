@@ -76,9 +76,7 @@ def advance(
     Returns:
         The state after the step, and the record of what happened.
     """
-    dangerous = dangerous_moves(
-        open_moves(state.obstacles, state.position), state.position, action
-    )
+    dangerous = dangerous_moves(open_moves(state.obstacles, state.position), state.position, action)
     position = move(state.position, action, dangerous)
     sensed = sense(state.map, state.obstacles, position, config.fov_radius, config.occlusion)
     network = networks(in_range(position, config.communication_cells), action == COMMUNICATE)

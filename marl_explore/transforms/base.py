@@ -36,11 +36,17 @@ class FeatureTransform(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the feature into a TensorDict, at the root and under "next"."""
-        self._call(tensordict)
         following = tensordict.get("next", None)
-        if following is not None and all(k in following.keys(True, True) for k in self.in_keys):
-            tensordict.set("next", self._call(following))
-        return tensordict
+        if following is not None and all(following.get(k, None) is not None for k in self.in_keys):
+            self._call_checked(following)
+        return self._call_checked(tensordict)
+
+    def _call_checked(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.check_values(*self._inputs(tensordict))
+        return self._call(tensordict)
+
+    def check_values(self, *inputs: Tensor) -> None:
+        """Refuse values of data from elsewhere; on an environment its specs vouch for them."""
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

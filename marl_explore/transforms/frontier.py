@@ -57,7 +57,18 @@ class FrontierReachability(FeatureTransform):
         self._require_cells(position, grid.shape[:-2])
         return feature_table(grid, position, self.normalize)
 
-    def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:  # type: ignore[override]
+    def check_values(self, grid: Tensor, position: Tensor) -> None:
+        """Positions must lie in the map."""
+        height, width = grid.shape[-2:]
+        size = torch.tensor([height, width], device=position.device)
+        outside = ((position < 0) | (position >= size)).any(-1)
+        if outside.any():
+            cell = tuple(position[outside][0].tolist())
+            raise ValueError(
+                f"FrontierReachability: {self.in_keys[1]!r} holds {cell}, which is outside the map of {height} x {width} cells"
+            )
+
+    def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
         """Bounds of the table: 1 where normalised by the robot's own longest path."""
         height, width = grid.shape[-2:]
         high = 1 if self.normalize in ("relative", "proximity") else height * width

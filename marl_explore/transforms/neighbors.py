@@ -43,7 +43,7 @@ class CommunicationNeighbors(FeatureTransform):
         self._require_cells(position, position.shape[:-1])
         return in_range(position, self.range_cells).float()
 
-    def feature_spec(self, position: TensorSpec) -> TensorSpec:  # type: ignore[override]
+    def feature_spec(self, position: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, N, N]."""
         shape = (*position.shape[:-1], position.shape[-2])
         return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)

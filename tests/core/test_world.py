@@ -103,8 +103,8 @@ def assert_record_agrees(record, after, events, worlds):
         torch.testing.assert_close(reward(record), judged, rtol=1e-5, atol=1e-5, msg=name)
 
 
-@pytest.mark.parametrize("sensing", SENSING)
-@repeatable(max_examples=50)
+@pytest.mark.parametrize("sensing", SENSING, ids=str)
+@repeatable(max_examples=30)
 @given(data=st.data())
 def test_whole_episodes_agree_with_the_reference(sensing, data):
     scenario = data.draw(scenarios(sensing=sensing))

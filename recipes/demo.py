@@ -1,0 +1,82 @@
+"""Train for a few minutes, compare with the planners on arenas never seen, draw what happened.
+
+python recipes/demo.py
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from marl_explore import cli
+from marl_explore.config import PRESETS
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Where the demonstration goes and how long it takes."""
+
+    out: Path = Path("demo")
+    """Folder for the results; an earlier demonstration in it is replaced."""
+    seed: int = 0
+    """Seed of training and test arenas."""
+    episodes: int = PRESETS["fast"].episodes
+    """Training length (episodes)."""
+    num_arenas: int = 200
+    """Test arenas."""
+    threads: int = 1
+    """CPU threads of torch."""
+
+
+def parse() -> Arguments:
+    """Read the command line."""
+    return tyro.cli(Arguments, prog="demo.py", description=__doc__)
+
+
+def run(arguments: Arguments) -> None:
+    """Train, evaluate, draw."""
+    import torch
+
+    from marl_explore import metrics, plots, runs
+    from marl_explore.env import ExplorationEnv
+    from marl_explore.evaluation import find_policy, format_table, play, record, write_results
+    from marl_explore.planners import PLANNERS
+
+    torch.set_num_threads(arguments.threads)
+    config = replace(PRESETS["fast"], seed=arguments.seed, episodes=arguments.episodes)
+    folder = arguments.out
+    if (folder / "demo.txt").exists():  # only ever remove what an earlier demonstration made
+        shutil.rmtree(folder)
+    runs.new_folder(folder)
+    (folder / "demo.txt").write_text("made by recipes/demo.py, which may replace this folder\n")
+
+    print(f"training the preset 'fast' on {config.updates * config.batch_frames} steps ...")
+    learned = runs.train(config, folder / "training")
+
+    print(f"evaluating on {arguments.num_arenas} test arenas ...")
+    policies = {"learned": learned} | {n: find_policy(n, config.arena) for n in PLANNERS}
+    episodes = {
+        name: record(policy, config.arena, num_arenas=arguments.num_arenas)
+        for name, policy in policies.items()
+    }
+    results = {name: metrics.summarize(recorded) for name, recorded in episodes.items()}
+    write_results(folder, results, runs.provenance())
+    plots.coverage_figure(
+        {name: metrics.coverage(recorded)["largest"] for name, recorded in episodes.items()},
+        folder / "coverage.png",
+    )
+
+    env = ExplorationEnv(config.arena, terminate_at_coverage=1.0, stream="test")
+    steps = play(learned, env, steps=100, until_done=True)
+    plots.episode_animation(list(steps), folder / "episode.gif")
+
+    print(format_table(results))
+    for name in ("table.txt", "results.csv", "coverage.png", "episode.gif", "training"):
+        print(f"{folder / name}")
+
+
+if __name__ == "__main__":
+    cli.main(parse, run)

@@ -1,0 +1,90 @@
+"""HAPPO on the exploration task, the whole loop in one place.
+
+python recipes/minimal_happo.py
+
+Copy this file and change it. It uses the environment, networks and loss of marl_explore and the
+collector and advantage estimation of TorchRL; nothing is hidden in a trainer.
+"""
+
+from __future__ import annotations
+
+import torch
+from tensordict.nn import TensorDictModule
+from torchrl.collectors import Collector
+from torchrl.envs import RewardSum
+
+from marl_explore import ArenaConfig, HAPPOLoss, make_env
+from marl_explore.models import (
+    OBSERVATION_KEYS,
+    MLPActor,
+    MLPCritic,
+    StackedActors,
+    probabilistic_actor,
+)
+
+ENVS, STEPS, EPOCHS = 32, 50, 5
+
+
+def main(updates: int = 60) -> float:
+    """Train a team of four; returns the mean length of the last finished episodes (steps)."""
+    torch.manual_seed(0)
+    arena = ArenaConfig()
+
+    # Arenas side by side: 4 robots, each with its FOV, FPR and NET.
+    env = make_env(arena, ENVS, reward="team", terminate_at_coverage=1.0, fpr="proximity")
+    env.append_transform(RewardSum())
+
+    # One actor per robot, and one critic that reads what all of them see.
+    names = [f"robot_{i}" for i in range(arena.num_agents)]
+    networks = [MLPActor(arena, hidden=(64, 64)) for _ in names]
+    critic = TensorDictModule(
+        MLPCritic(arena, hidden=(64, 64)), in_keys=OBSERVATION_KEYS, out_keys=["state_value"]
+    )
+    loss = HAPPOLoss(
+        actors={n: probabilistic_actor(net) for n, net in zip(names, networks, strict=True)},
+        critic=critic,
+        views={name: ("agents", i) for i, name in enumerate(names)},
+    )
+    loss.make_value_estimator(gamma=0.95, lmbda=0.95)
+    optimizers = {
+        name: torch.optim.Adam(actor.parameters(), lr=1e-3)
+        for name, actor in loss.actor_losses.items()
+    }
+    optimizers["critic"] = torch.optim.Adam(critic.parameters(), lr=1e-3)
+
+    # The same networks, stacked, act on whole batches.
+    collector = Collector(
+        env,
+        probabilistic_actor(StackedActors(networks)),
+        frames_per_batch=ENVS * STEPS,
+        total_frames=ENVS * STEPS * updates,
+        auto_register_policy_transforms=False,
+    )
+    length = float("nan")
+    for update, rollout in enumerate(collector, start=1):
+        batch = loss.estimate_advantage(rollout).reshape(-1)
+
+        for name in loss.update_order():  # one robot after the other ...
+            for _ in range(EPOCHS):
+                losses = loss.actor_loss(batch, name)
+                optimizers[name].zero_grad()
+                (losses["loss_objective"] + losses["loss_entropy"]).backward()
+                optimizers[name].step()
+            loss.update_factor(batch, name)  # ... weighted by the ratios of those before it
+
+        for _ in range(EPOCHS):
+            optimizers["critic"].zero_grad()
+            loss.critic_loss(batch)["loss_critic"].backward()
+            optimizers["critic"].step()
+
+        ended = rollout["next", "done"].squeeze(-1)
+        if ended.any() and update % 10 == 0:
+            length = rollout["next", "step_count"][ended].float().mean().item()
+            total = rollout["next", "episode_reward"][ended].mean().item()
+            print(f"update {update:3d}: return {total:6.2f}, {length:5.1f} steps to a whole map")
+    collector.shutdown()
+    return length
+
+
+if __name__ == "__main__":
+    main()
