@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import step_mdp
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ArenaConfig, require_integer
 from marl_explore.core.mapping import target_cells
 from marl_explore.env import ExplorationEnv
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
@@ -82,6 +82,9 @@ def record(
         seed: of the arenas and of sampled actions; the global random state is left as it was.
         stream: family of arenas.
     """
+    require_integer("num_arenas", num_arenas, 1)
+    require_integer("steps", steps, 1)
+    require_integer("seed", seed, 0)
     env = ExplorationEnv(config, num_arenas, max_steps=steps, seed=seed, stream=stream)
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(seed)

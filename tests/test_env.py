@@ -26,7 +26,9 @@ STATE_KEYS = [
 
 
 def act(td, action):
-    return td.set(("agents", "action"), torch.as_tensor(action).expand(td["agents", "merged"].shape))
+    return td.set(
+        ("agents", "action"), torch.as_tensor(action).expand(td["agents", "merged"].shape)
+    )
 
 
 def given(*boards):
@@ -311,7 +313,9 @@ def test_state_dict_restores_everything():
     other.load_state_dict(saved)
     torch.manual_seed(0)
     td = env.rand_action()
-    one = env.rollout(12, auto_reset=False, tensordict=env.step(td)["next"], break_when_any_done=False)
+    one = env.rollout(
+        12, auto_reset=False, tensordict=env.step(td)["next"], break_when_any_done=False
+    )
     torch.manual_seed(0)
     restored = other.reset()
     two = other.rollout(

@@ -144,8 +144,8 @@ def test_constant_reward(value_norm):
 def test_delayed_reward_is_discounted_once(value_norm):
     result = train(DelayedReward, value_norm)
     assert result.actions_in(0) == {(1, 1)}
-    assert result.value_of(0) == pytest.approx(GAMMA, abs=0.06)
-    assert result.value_of(1) == pytest.approx(1, abs=0.06)
+    assert result.value_of(0) == pytest.approx(GAMMA, abs=0.05)
+    assert result.value_of(1) == pytest.approx(1, abs=0.05)
 
 
 @value_norms
@@ -161,8 +161,8 @@ def test_reward_depends_on_the_observation(value_norm):
 def test_cut_off_episodes_bootstrap(value_norm):
     result = train(CutOff, value_norm)
     endless = 1 / (1 - GAMMA)
-    assert result.value_of(0) == pytest.approx(endless, abs=0.15)
-    assert result.value_of(1) == pytest.approx(endless, abs=0.15)
+    assert result.value_of(0) == pytest.approx(endless, abs=0.05)
+    assert result.value_of(1) == pytest.approx(endless, abs=0.05)
 
 
 @value_norms

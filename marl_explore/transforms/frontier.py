@@ -65,7 +65,8 @@ class FrontierReachability(FeatureTransform):
         if outside.any():
             cell = tuple(position[outside][0].tolist())
             raise ValueError(
-                f"FrontierReachability: {self.in_keys[1]!r} holds {cell}, which is outside the map of {height} x {width} cells"
+                f"FrontierReachability: {self.in_keys[1]!r} holds {cell}, which is outside the "
+                f"map of {height} x {width} cells"
             )
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:

@@ -9,7 +9,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marl_explore.core.frontier import NORMALIZATIONS, feature_table, frontier_mask
+from marl_explore.core.frontier import (
+    NORMALIZATIONS,
+    feature_table,
+    frontier_mask,
+    nearest_frontier,
+)
 from marl_explore.core.world import advance, start
 from tests import reference
 from tests.boards import ACTIONS, known_map, map_cells
@@ -39,7 +44,7 @@ def raw(board, levels=None):
 
 
 @pytest.mark.parametrize("normalize", NORMALIZATIONS)
-@repeatable(max_examples=25)
+@repeatable(max_examples=40)
 @given(scenario=scenarios())
 def test_tables_of_real_episodes_agree_with_the_reference(normalize, scenario):
     state = start(scenario.config, scenario.obstacles, scenario.positions)
@@ -49,7 +54,7 @@ def test_tables_of_real_episodes_agree_with_the_reference(normalize, scenario):
 
 
 @pytest.mark.parametrize("normalize", NORMALIZATIONS)
-@repeatable(max_examples=60)
+@repeatable(max_examples=80)
 @given(boards=island_maps())
 def test_tables_of_arbitrary_maps_agree_with_the_reference(normalize, boards):
     maps, positions = zip(*map(known_map, boards), strict=True)
@@ -77,9 +82,10 @@ def test_arenas_one_cell_wide_agree_with_the_reference(board, normalize):
 def test_enough_levels_give_the_same_table_as_no_limit(boards, extra):
     for board in boards:
         map_, position = known_map(board)
-        lengths = [length for _, length in reference.trajectories(map_.tolist(), position)]
+        trajectories = reference.trajectories(map_.tolist(), position.tolist())
+        levels = max((length for _, length in trajectories), default=0) + extra
         unlimited = feature_table(map_, position, None)
-        assert feature_table(map_, position, None, max(lengths, default=0) + extra).equal(unlimited)
+        assert feature_table(map_, position, None, levels).equal(unlimited)
 
 
 @repeatable(max_examples=30)
@@ -88,9 +94,22 @@ def test_trajectories_longer_than_the_levels_are_ignored(boards, levels):
     for board in boards:
         map_, position = known_map(board)
         number = [0] * 8
-        for direction, length in reference.trajectories(map_.tolist(), position):
+        for direction, length in reference.trajectories(map_.tolist(), position.tolist()):
             number[direction] += length <= levels
         assert feature_table(map_, position, None, levels)[:, 0].tolist() == number
+
+
+@repeatable(max_examples=60)
+@given(boards=island_maps())
+def test_the_nearest_frontier_agrees_with_the_reference(boards):
+    maps, positions = map(torch.stack, zip(*map(known_map, boards), strict=True))
+    found = [
+        reference.trajectories(map_, position)
+        for map_, position in zip(maps.tolist(), positions.tolist(), strict=True)
+    ]
+    nearest = [min(((n, d) for d, n in paths), default=(0, 0)) for paths in found]
+    direction, length = nearest_frontier(maps, positions)
+    assert list(zip(length.tolist(), direction.tolist(), strict=True)) == nearest
 
 
 def test_more_batch_dimensions_give_the_same_as_one():
@@ -99,7 +118,17 @@ def test_more_batch_dimensions_give_the_same_as_one():
     flat = feature_table(maps, positions)
     folded = feature_table(maps.view(2, 3, 1, 4), positions.view(2, 3, 2))
     assert folded.equal(flat.view(2, 3, 8, 3))
-    assert feature_table(maps[0], positions[0]).equal(flat[0])
+    nearest_flat = torch.stack(nearest_frontier(maps, positions))
+    nearest = nearest_frontier(maps.view(2, 3, 1, 4), positions.view(2, 3, 2))
+    assert torch.stack(nearest).equal(nearest_flat.view(2, 2, 3))
+
+
+def test_a_single_map_needs_no_batch_dimension():
+    map_, position = known_map("?..@.?")
+    batched = map_.unsqueeze(0), position.unsqueeze(0)
+    assert feature_table(map_, position).equal(feature_table(*batched)[0])
+    single, several = nearest_frontier(map_, position), nearest_frontier(*batched)
+    assert torch.stack(single).equal(torch.stack(several)[:, 0])
 
 
 def test_the_inputs_stay_as_they_were():
@@ -154,7 +183,7 @@ def test_a_path_belongs_to_its_first_move():
         ##.?
         @#.#
         .#.#
-        #..#
+        ...#
     """
     # S, SE, NE and N, N: the frontier itself lies north-east
     assert raw(board) == {"S": [1, 5, 0]}
@@ -261,6 +290,21 @@ def test_no_path_ends_where_it_began():
 def test_a_map_without_frontiers_gives_zeros():
     for normalize in NORMALIZATIONS:
         assert feature_table(*known_map("...\n.@.\n..."), normalize).eq(0).all()
+
+
+@pytest.mark.parametrize(
+    ("board", "name", "length"),
+    [
+        ("?..@.?", "E", 1),
+        ("?.@..?", "W", 1),
+        ("?..@..?", "E", 2),  # equally near: the lowest direction
+        ("#.@.#", "N", 0),  # none: zeros
+    ],
+)
+def test_the_nearest_frontier_by_hand(board, name, length):
+    map_, position = known_map(board)
+    direction, distance = nearest_frontier(map_.unsqueeze(0), position.unsqueeze(0))
+    assert (direction.tolist(), distance.tolist()) == ([ACTIONS.index(name)], [length])
 
 
 # ---------------------------------------------------------------- normalisation

@@ -66,9 +66,9 @@ def test_the_numbers_are_frozen():
 
 
 @repeatable(max_examples=100)
-@given(parts=st.lists(int64s, min_size=2, max_size=2, unique=True), last=int64s)
-def test_the_order_and_number_of_the_parts_matter(parts, last):
-    first, second = parts
+@given(parts=st.lists(int64s, min_size=3, max_size=3, unique=True))
+def test_the_order_and_number_of_the_parts_matter(parts):
+    first, second, last = parts
     hashes = [
         combine(first, second),
         combine(second, first),

@@ -1,4 +1,4 @@
-"""Which moves are refused, and which actions are offered: one drawn board per clause of the rules."""
+"""Which moves are refused, and which actions are offered: a drawn board per clause."""
 
 from __future__ import annotations
 

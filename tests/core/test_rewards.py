@@ -145,11 +145,11 @@ def test_team_takes_a_quarter_when_all_are_refused():
     assert_rewards(team, step, [-0.25] * 3)
 
 
-# ---------------------------------------------------------------- a step from the board to the reward
+# ---------------------------------------------------------------- from a board to the reward
 
 
 def test_the_rewards_of_a_step_on_a_drawn_board():
-    """Robots 0 and 1 talk, 2 moves into an obstacle, 3 finds cells, 4 stays; none is near 3 and 4."""
+    """Robots 0 and 1 merge, 2 moves into an obstacle, 3 finds cells, 4 stays."""
     config = ArenaConfig(
         height=3, width=16, num_agents=5, obstacle_density=0, communication_range=1.0
     )

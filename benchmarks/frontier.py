@@ -1,0 +1,64 @@
+"""FPR of many arenas in one call against plain Python, per observation, in one run.
+
+python -m benchmarks.frontier
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+import torch
+
+from benchmarks.baselines import astar_table, bfs_table
+from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.core.frontier import feature_table
+from marl_explore.planners import PLANNERS
+
+
+def observations(num_envs: int, steps: int = 40) -> tuple[torch.Tensor, torch.Tensor]:
+    """Maps [M, H, W] and positions [M, 2] from episodes under way, at staggered times."""
+    config = ArenaConfig()
+    rollout = ExplorationEnv(config, num_envs).rollout(steps, PLANNERS["nearest-timer"](config))
+    rows = torch.arange(num_envs)
+    sample = rollout[rows, rows % steps]["agents"]
+    return sample["map"].flatten(0, 1), sample["position"].flatten(0, 1)
+
+
+def seconds(function) -> float:
+    """Time of one call."""
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[str, float]:
+    """Median microseconds per observation: ours, A* per frontier, BFS per robot; interleaved."""
+    maps, positions = observations(num_envs)
+    few = torch.linspace(0, len(maps) - 1, min(sample, len(maps))).long()
+    plain = [
+        (grid, tuple(cell))
+        for grid, cell in zip(maps[few].tolist(), positions[few].tolist(), strict=True)
+    ]
+    contenders = {
+        "ours": (lambda: feature_table(maps, positions), len(maps)),
+        "A* per frontier": (lambda: [astar_table(*p) for p in plain], len(plain)),
+        "BFS per robot": (lambda: [bfs_table(*p) for p in plain], len(plain)),
+    }
+    times: dict[str, list[float]] = {name: [] for name in contenders}
+    for _ in range(repeats):
+        for name, (function, count) in contenders.items():
+            times[name].append(seconds(function) / count * 1e6)
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    result = measure()
+    print(f"FPR, 512 arenas x 4 robots, 12 x 12 cells, one thread, torch {torch.__version__}")
+    for name, value in result.items():
+        print(f"{name:>16}: {value:9.2f} us per observation, {value / result['ours']:7.1f} x ours")
+
+
+if __name__ == "__main__":
+    main()

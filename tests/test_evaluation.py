@@ -1,0 +1,72 @@
+"""Evaluation: repeatable, on arenas apart from training's, and written in three forms."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+import torch
+
+from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.evaluation import (
+    evaluate,
+    find_policy,
+    format_table,
+    play,
+    record,
+    write_results,
+)
+
+SMALL = ArenaConfig(height=7, width=7, num_agents=2)
+
+
+def test_an_evaluation_repeats_and_leaves_the_random_state_alone():
+    policy = find_policy("random", SMALL)
+    torch.manual_seed(11)
+    before = torch.get_rng_state()
+    one = evaluate(policy, SMALL, num_arenas=10, steps=30)
+    assert torch.equal(torch.get_rng_state(), before)
+    torch.rand(3)
+    assert evaluate(policy, SMALL, num_arenas=10, steps=30) == one
+    assert evaluate(policy, SMALL, num_arenas=10, steps=30, seed=1) != one
+
+
+def test_policies_meet_the_same_arenas_and_not_those_of_training():
+    test = [
+        record(find_policy(name, SMALL), SMALL, num_arenas=10, steps=2)
+        for name in ("random", "nearest")
+    ]
+    assert torch.equal(test[0].num_targets, test[1].num_targets)
+    assert torch.equal(test[0].maps.known_cells[:, 0], test[1].maps.known_cells[:, 0])
+    trained_on = ExplorationEnv(SMALL, num_envs=10).reset()["obstacles"]
+    tested_on = ExplorationEnv(SMALL, num_envs=10, stream="test").reset()["obstacles"]
+    assert not (trained_on == tested_on).flatten(1).all(-1).any()
+
+
+def test_play_yields_the_reset_and_every_step_after_it():
+    env = ExplorationEnv(SMALL, num_envs=3, terminate_at_coverage=1.0)
+    steps = list(play(find_policy("nearest-timer", SMALL), env, steps=100, until_done=True))
+    assert [int(s["step_count"].max()) for s in steps] == list(range(len(steps)))
+    assert steps[-1]["done"].all()
+    assert not steps[-2]["done"].all()
+
+
+def test_results_are_written_as_text_json_and_csv(tmp_path):
+    results = {"a": {"steps_to_95": 12.34, "useful_share": float("nan")}}
+    results["b"] = {"steps_to_95": 7.0, "useful_share": 0.25}
+    write_results(tmp_path, results, {"command": "test"})
+    table = (tmp_path / "table.txt").read_text()
+    assert table == format_table(results) + "\n"
+    assert table.splitlines()[2].split() == ["a", "12.3", "-"]
+    saved = json.loads((tmp_path / "results.json").read_text())
+    assert saved["results"]["a"] == {"steps_to_95": 12.34, "useful_share": None}
+    assert saved["run"] == {"command": "test"}
+    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
+    assert [row["policy"] for row in rows] == ["a", "b"]
+    assert float(rows[1]["useful_share"]) == 0.25
+
+
+def test_an_unknown_policy_is_refused_with_what_there_is():
+    with pytest.raises(ValueError, match=r"no policy 'nobody'.*planners: \['nearest'"):
+        find_policy("nobody", SMALL)

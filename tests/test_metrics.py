@@ -1,0 +1,133 @@
+"""Every measure against an episode small enough to work out by hand, and against plain loops."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from marl_explore import ArenaConfig, metrics
+from marl_explore.evaluation import find_policy, record
+from marl_explore.metrics import Episodes, Snapshot
+
+MOVE_N, MOVE_NE, STAY, TALK = 0, 1, 8, 9
+
+
+def hand_made():
+    """One arena of 10 cells, 8 of them targets; two robots; three steps.
+
+    Robot 0 moves north (finds 2), talks (receives 3), stays. Robot 1 moves north-east (finds 1),
+    talks (receives 2), then moves north and is refused.
+    """
+    return Episodes(
+        maps=Snapshot(
+            known_targets=torch.tensor([[[2, 3], [4, 4], [7, 6], [8, 6]]]),
+            union_targets=torch.tensor([[4, 7, 7, 8]]),
+            known_cells=torch.tensor([[[3, 3], [5, 4], [8, 6], [9, 6]]]),
+            union_cells=torch.tensor([[5, 8, 8, 9]]),
+        ),
+        action=torch.tensor([[[MOVE_N, MOVE_NE], [TALK, TALK], [STAY, MOVE_N]]]),
+        dangerous=torch.tensor([[[0, 0], [0, 0], [0, 0], [0, 1]]]).bool(),
+        merged=torch.tensor([[[0, 0], [0, 0], [1, 1], [0, 0]]]).bool(),
+        discovered=torch.tensor([[[3, 3], [2, 1], [0, 0], [1, 0]]]),
+        received=torch.tensor([[[0, 0], [0, 0], [3, 2], [0, 0]]]),
+        num_targets=torch.tensor([8]),
+        num_cells=10,
+        cell_size=0.5,
+        max_discovery=2,
+    )
+
+
+def test_coverage_curves():
+    curves = metrics.coverage(hand_made())
+    assert curves["largest"][0].tolist() == [3 / 8, 4 / 8, 7 / 8, 1]
+    assert curves["smallest"][0].tolist() == [2 / 8, 4 / 8, 6 / 8, 6 / 8]
+    assert curves["mean"][0].tolist() == [2.5 / 8, 4 / 8, 6.5 / 8, 7 / 8]
+    assert curves["merged"][0].tolist() == [4 / 8, 7 / 8, 7 / 8, 1]
+    assert metrics.known_ratio(hand_made())[0].tolist() == [0.3, 0.5, 0.8, 0.9]
+
+
+@pytest.mark.parametrize(
+    ("share", "first"), [(0.3, 0), (0.375, 0), (0.5, 1), (0.51, 2), (0.875, 2), (0.9, 3), (1.0, 3)]
+)
+def test_steps_to_a_coverage_compare_whole_cells(share, first):
+    known = torch.tensor([[3, 4, 7, 8]])
+    assert metrics.steps_to(known, torch.tensor([8]), share).tolist() == [first]
+
+
+def test_a_coverage_never_reached_counts_one_step_more_than_the_horizon():
+    known = torch.tensor([[3, 4, 7, 7], [8, 8, 8, 8]])
+    assert metrics.steps_to(known, torch.tensor([8, 8]), 1.0).tolist() == [4, 0]
+
+
+def test_communication_shares():
+    episodes = hand_made()
+    assert metrics.communication_share(episodes).tolist() == [2 / 6]
+    assert metrics.useful_share(episodes).tolist() == [1.0]
+    lone = episodes._replace(received=torch.zeros_like(episodes.received))
+    assert metrics.useful_share(lone).tolist() == [0.0]
+    silent = episodes._replace(action=torch.full((1, 3, 2), STAY))
+    assert metrics.useful_share(silent).isnan().all()
+
+
+def test_steps_after_completion_can_be_left_out():
+    episodes = hand_made()
+    early = episodes._replace(num_targets=torch.tensor([7]))  # complete after the second step
+    assert metrics.before_completion(early).tolist() == [[True, True, False]]
+    assert metrics.before_completion(episodes).tolist() == [[True, True, True]]
+    steps = metrics.before_completion(early)
+    assert metrics.communication_share(early, steps).tolist() == [2 / 4]
+
+
+def test_enlargements_and_cells_on_the_air():
+    episodes = hand_made()
+    assert metrics.enlargements(episodes).tolist() == [3, 2]
+    assert metrics.large_enlargement_share(episodes) == 0.5  # 3 > e_max = 2
+    assert metrics.cells_sent(episodes).tolist() == [(8 - 3) + (6 - 2)]
+    assert metrics.cells_received(episodes).tolist() == [5]
+
+
+def test_motion_and_overlap():
+    episodes = hand_made()
+    assert metrics.dangerous_share(episodes).tolist() == [1 / 3]
+    assert metrics.distance_travelled(episodes).item() == pytest.approx(0.5 * (1 + math.sqrt(2)))
+    assert metrics.overlap(episodes).item() == pytest.approx((3 + 3 + 2 + 1 + 1) / 9 - 1)
+
+
+def test_snapshots_count_cells():
+    grid = torch.tensor([[[[0, -1, 1]], [[-1, -1, 0]]]], dtype=torch.int8)
+    target = torch.tensor([[[True, True, False]]])
+    counts = metrics.snapshot(grid, target)
+    assert counts.known_cells.tolist() == [[2, 1]]
+    assert counts.union_cells.tolist() == [2]
+    assert counts.known_targets.tolist() == [[1, 0]]
+    assert counts.union_targets.tolist() == [1]
+
+
+def test_recorded_episodes_are_consistent():
+    config = ArenaConfig(height=7, width=9, num_agents=3)
+    episodes = record(find_policy("random", config), config, num_arenas=12, steps=80)
+    known = episodes.maps.known_cells
+    gained = (episodes.discovered + episodes.received).cumsum(1)
+    assert torch.equal(known, gained)  # every known cell was discovered or received once
+    assert (known.diff(dim=1) >= 0).all()
+    assert (episodes.maps.union_cells >= known.amax(-1)).all()
+    assert episodes.merged.any()
+    assert (episodes.received[~episodes.merged] == 0).all()
+    curves = metrics.coverage(episodes)
+    assert (curves["smallest"] <= curves["mean"] + 1e-12).all()
+    assert (curves["largest"] <= curves["merged"]).all()
+    assert (metrics.overlap(episodes) >= 0).all()
+
+
+def test_the_summary_has_every_measure_as_a_number():
+    summary = metrics.summarize(hand_made())
+    assert summary["steps_to_100"] == 3
+    assert summary["steps_to_all_complete"] == 4
+    assert summary["merged_steps_to_80"] == 1
+    assert summary["complete"] == 1
+    assert summary["final_largest_coverage"] == 1
+    assert summary["coverage_at_3"] == 1
+    assert "coverage_at_50" not in summary
+    assert all(isinstance(value, float) for value in summary.values())

@@ -1,0 +1,164 @@
+"""Networks: the paper's layer tables, initialisation, and the same actors alone and stacked."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from marl_explore.config import ArenaConfig
+from marl_explore.models import (
+    CNNActor,
+    CNNCritic,
+    MLPActor,
+    MLPCritic,
+    StackedActors,
+    make_critic,
+    probabilistic_actor,
+)
+
+PAPER = ArenaConfig()
+
+
+def layers(network):
+    """(kind, inputs, outputs) of every layer with parameters or an activation."""
+    table = []
+    for layer in network.modules():
+        if isinstance(layer, nn.Linear):
+            table.append(("linear", layer.in_features, layer.out_features))
+        elif isinstance(layer, nn.Conv2d):
+            assert layer.kernel_size == (3, 3)
+            assert layer.stride == (1, 1)
+            assert layer.padding == (1, 1)
+            table.append(("conv", layer.in_channels, layer.out_channels))
+        elif isinstance(layer, nn.LayerNorm):
+            table.append(("norm", *layer.normalized_shape))
+        elif isinstance(layer, nn.ReLU):
+            table.append(("relu",))
+    return table
+
+
+def observation(*batch, robots=None, config=PAPER):
+    torch.manual_seed(0)
+    axis = () if robots is None else (robots,)
+    side = config.fov_size
+    return (
+        torch.rand(*batch, *axis, side, side),
+        torch.rand(*batch, *axis, 8, 3),
+        torch.rand(*batch, *axis, config.num_agents),
+    )
+
+
+def test_mlp_actor_is_the_papers_table():
+    assert layers(MLPActor(PAPER)) == [
+        ("linear", 37, 2400),
+        ("relu",),
+        ("norm", 2400),
+        ("linear", 2400, 300),
+        ("relu",),
+        ("linear", 300, 10),
+    ]
+
+
+def test_mlp_critic_reads_148_numbers():
+    assert [row for row in layers(MLPCritic(PAPER)) if row[0] == "linear"] == [
+        ("linear", 148, 2400),
+        ("linear", 2400, 300),
+        ("linear", 300, 1),
+    ]
+
+
+def test_a_flag_normalises_the_last_hidden_layer_too():
+    assert ("norm", 300) in layers(MLPActor(PAPER, norm_last=True))
+
+
+def test_cnn_actor_is_the_papers_figure():
+    assert layers(CNNActor(PAPER)) == [
+        ("conv", 1, 8),
+        ("relu",),
+        ("conv", 8, 16),
+        ("relu",),
+        ("linear", 144, 64),
+        ("relu",),
+        ("linear", 24, 64),
+        ("relu",),
+        ("linear", 4, 16),
+        ("relu",),
+        ("linear", 144, 300),
+        ("relu",),
+        ("linear", 300, 10),
+    ]
+
+
+def test_cnn_critic_has_an_encoder_per_robot():
+    table = layers(CNNCritic(PAPER))
+    assert table.count(("conv", 1, 8)) == 4
+    assert table[-3:] == [("linear", 576, 300), ("relu",), ("linear", 300, 1)]
+
+
+@pytest.mark.parametrize("network", [MLPActor(PAPER), CNNActor(PAPER)])
+def test_initial_policies_are_nearly_uniform_with_orthogonal_weights(network):
+    logits = network(*observation(50))
+    assert logits.shape == (50, 10)
+    assert logits.softmax(-1).sub(0.1).abs().max() < 0.01
+    last = [m for m in network.modules() if isinstance(m, nn.Linear)][-1]
+    torch.testing.assert_close(last.weight @ last.weight.T, 1e-4 * torch.eye(10))
+    assert (last.bias == 0).all()
+
+
+def test_hidden_layers_start_orthogonal_with_gain_sqrt_2():
+    weight = MLPActor(PAPER).layers[3].weight  # 300 x 2400
+    torch.testing.assert_close(weight @ weight.T, 2 * torch.eye(300), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("actor", [MLPActor, CNNActor])
+def test_stacked_actors_are_the_single_ones(actor):
+    config = ArenaConfig(num_agents=3, sensing_range=1.8)
+    actors = [actor(config) for _ in range(3)]
+    inputs = observation(6, 2, robots=3, config=config)
+    stacked = StackedActors(actors)(*inputs)
+    for i, single in enumerate(actors):
+        alone = single(inputs[0][:, :, i], inputs[1][:, :, i], inputs[2][:, :, i])
+        torch.testing.assert_close(stacked[:, :, i], alone)
+
+
+@pytest.mark.parametrize("architecture", ["mlp", "cnn"])
+@pytest.mark.parametrize("reads", ["observation", "state"])
+def test_critics_write_one_value_per_arena(architecture, reads):
+    config = ArenaConfig(num_agents=2)
+    fov, fpr, net = observation(5, robots=2, config=config)
+    td = TensorDict(
+        {
+            "obstacles": torch.zeros(5, 12, 12, dtype=torch.bool),
+            "agents": {
+                "map": torch.full((5, 2, 12, 12), -1, dtype=torch.int8),
+                "position": torch.zeros(5, 2, 2, dtype=torch.int64),
+                "observation": {"fov": fov, "fpr": fpr, "net": net},
+            },
+        },
+        batch_size=[5],
+    )
+    critic = make_critic(config, architecture, (32, 32), reads)
+    assert critic(td)["state_value"].shape == (5, 1)
+
+
+def test_actors_obey_the_mask_and_take_the_likeliest_action_when_asked():
+    config = ArenaConfig(num_agents=2)
+    fov, fpr, net = observation(400, robots=2, config=config)
+    mask = torch.rand(400, 2, 10) < 0.3
+    mask[..., 8] = True
+    td = TensorDict(
+        {"agents": {"observation": {"fov": fov, "fpr": fpr, "net": net}, "action_mask": mask}},
+        [400],
+    )
+    policy = probabilistic_actor(StackedActors([MLPActor(config, (8, 8)) for _ in range(2)]))
+    sampled = policy(td.clone())
+    action = sampled["agents", "action"]
+    assert mask.gather(-1, action.unsqueeze(-1)).all()
+    logits = sampled["agents", "logits"].masked_fill(~mask, -torch.inf)
+    expected = logits.log_softmax(-1).gather(-1, action.unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(sampled["agents", "action_log_prob"], expected)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert torch.equal(policy(td.clone())["agents", "action"], logits.argmax(-1))

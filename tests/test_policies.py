@@ -1,0 +1,99 @@
+"""Policies as files: saved and loaded whole, with their features, or refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from marl_explore import ArenaConfig, ExplorationEnv, list_policies, load_policy, make_env
+from marl_explore.models import probabilistic_actor
+from marl_explore.policies import Policy, PolicySpec, policy_info, save_policy
+
+
+def a_policy(architecture="mlp", fpr="proximity", **arena):
+    torch.manual_seed(0)
+    spec = PolicySpec(ArenaConfig(**arena), architecture, (16, 16), fpr)
+    policy = Policy(spec, spec.make_actors())
+    for parameter in policy.parameters():  # away from the nearly uniform start
+        torch.nn.init.normal_(parameter, std=0.5)
+    return policy
+
+
+@pytest.mark.parametrize("architecture", ["mlp", "cnn"])
+def test_a_loaded_policy_acts_as_the_saved_one(tmp_path, architecture):
+    policy = a_policy(architecture)
+    path = save_policy(policy, tmp_path / "team.safetensors", info={"seed": 3})
+    loaded = load_policy(path)
+    assert loaded.spec == policy.spec
+    assert policy_info(path) == {"seed": 3}
+    td = ExplorationEnv(num_envs=30).rollout(10)[:, -1]
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = policy(td.clone())["agents", "action"]
+        assert torch.equal(loaded(td.clone())["agents", "action"], expected)
+
+
+def test_a_policy_computes_the_features_it_was_trained_on():
+    policy = a_policy(fpr="proximity")
+    trained_on = make_env(num_envs=30, fpr="proximity").rollout(10)[:, -1]
+    elsewhere = trained_on.exclude(
+        ("agents", "observation", "fpr"), ("agents", "observation", "net")
+    )
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = probabilistic_actor(policy.actors)(trained_on.clone())["agents", "action"]
+        assert torch.equal(policy(elsewhere)["agents", "action"], expected)
+
+
+def test_a_policy_adds_nothing_but_actions():
+    td = ExplorationEnv(num_envs=2).reset()
+    keys = set(td.keys(True, True))
+    assert set(a_policy()(td).keys(True, True)) == keys | {("agents", "action")}
+
+
+def test_a_policy_acts_on_larger_arenas():
+    env = ExplorationEnv(ArenaConfig(height=20, width=30), num_envs=2)
+    assert env.rollout(3, a_policy())["agents", "action"].shape == (2, 3, 4)
+
+
+def test_a_run_folder_stands_for_its_policy(tmp_path):
+    save_policy(a_policy(), tmp_path)
+    assert load_policy(tmp_path).spec.fpr == "proximity"
+    assert [p.name for p in tmp_path.iterdir()] == ["policy.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("arena", "message"),
+    [
+        ({"num_agents": 3}, "trained for num_agents=4, and the environment has 3 robots"),
+        ({"sensing_range": 1.8}, "trained for fov_radius=1, .* 5 x 5"),
+    ],
+)
+def test_another_team_or_sensor_is_refused(arena, message):
+    env = ExplorationEnv(ArenaConfig(**arena), num_envs=2)
+    with pytest.raises(ValueError, match=message):
+        a_policy()(env.reset())
+
+
+def test_bundled_policies_load():
+    for name in list_policies():
+        load_policy(name)
+
+
+def test_what_is_no_policy_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no policy 'nobody'"):
+        load_policy("nobody")
+    with pytest.raises(ValueError, match=f"no policy '{tmp_path}'"):
+        load_policy(tmp_path)
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"not weights")
+    with pytest.raises(ValueError, match=r"broken.safetensors is not a readable policy file"):
+        load_policy(broken)
+    foreign = tmp_path / "foreign.safetensors"
+    save_file({"w": torch.zeros(1)}, foreign)
+    with pytest.raises(ValueError, match=r"foreign.safetensors is not a policy of this package"):
+        load_policy(foreign)
+    whole = save_policy(a_policy(), tmp_path / "whole.safetensors").read_bytes()
+    (tmp_path / "cut.safetensors").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"cut.safetensors is not a readable policy file"):
+        load_policy(tmp_path / "cut.safetensors")

@@ -1,0 +1,134 @@
+"""The recipes as a user runs them: small runs end to end, help, and wrong input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from marl_explore.policies import load_policy
+
+ROOT = Path(__file__).parents[1]
+TINY = (
+    "--height 6 --width 6 --num-agents 2 --hidden 16 16 --episodes 8 --episode-steps 20 "
+    "--num-envs 4 --rollout-steps 20 --minibatches 1"
+).split()
+
+
+def recipe(name, *arguments, cwd=None):
+    command = [sys.executable, str(ROOT / "recipes" / name), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300)
+
+
+def test_train_then_evaluate(tmp_path):
+    trained = recipe("train.py", "fast", *TINY, "--seed", "3", "--out", tmp_path / "run")
+    assert trained.returncode == 0, trained.stderr
+    run = tmp_path / "run"
+    config = json.loads((run / "config.json").read_text())
+    assert config["seed"] == 3
+    assert config["arena"]["height"] == 6
+    record = json.loads((run / "run.json").read_text())
+    assert record["versions"]["torchrl"].startswith("0.14")
+    assert "train.py fast" in record["command"]
+    assert record["frames"] == 160
+    rewards = list(csv.reader((run / "scalars" / "reward.csv").read_text().splitlines()))
+    assert [int(frames) for frames, _ in rewards] == [80, 160]
+    assert load_policy(run).spec.arena.num_agents == 2
+
+    arena = "--height 6 --width 6 --num-agents 2 --num-arenas 5 --steps 20".split()
+    out = tmp_path / "table"
+    evaluated = recipe("evaluate.py", run, "nearest", "random", *arena, "--out", out)
+    assert evaluated.returncode == 0, evaluated.stderr
+    results = json.loads((out / "results.json").read_text())
+    assert list(results["results"]) == [str(run), "nearest", "random"]
+    assert (out / "table.txt").read_text().strip() in evaluated.stdout
+    assert len((out / "results.csv").read_text().splitlines()) == 4
+
+
+def test_demo_makes_table_figure_and_animation(tmp_path):
+    folder = tmp_path / "demo"
+    folder.mkdir()
+    (folder / "demo.txt").write_text("of an earlier demonstration")
+    (folder / "old.png").write_text("of an earlier demonstration")
+    done = recipe("demo.py", "--out", folder, "--episodes", "32", "--num-arenas", "4")
+    assert done.returncode == 0, done.stderr
+    assert not (folder / "old.png").exists()
+    assert (folder / "table.txt").read_text().strip() in done.stdout
+    assert (folder / "coverage.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "episode.gif").read_bytes().startswith(b"GIF8")
+    results = json.loads((folder / "results.json").read_text())["results"]
+    assert list(results) == ["learned", "random", "nearest", "nearest-timer"]
+
+
+def test_demo_does_not_replace_a_folder_it_did_not_make(tmp_path):
+    (tmp_path / "precious.txt").write_text("mine")
+    done = recipe("demo.py", "--out", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: output folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
+
+
+def test_minimal_happo_learns_within_100_lines():
+    source = (ROOT / "recipes" / "minimal_happo.py").read_text()
+    assert len(source.splitlines()) <= 100
+    assert "marl_explore.trainer" not in source
+    done = subprocess.run(
+        [sys.executable, "-c", "import minimal_happo; print('last', minimal_happo.main(40))"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT / "recipes",
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    lengths = [float(line.split()[-6]) for line in done.stdout.splitlines() if "update" in line]
+    assert lengths[-1] < 0.8 * lengths[0]
+
+
+@pytest.mark.parametrize("name", ["train.py", "evaluate.py", "demo.py"])
+def test_help(name):
+    done = recipe(name, "--help")
+    assert done.returncode == 0
+    assert "usage:" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train.py", "fastest"], "fastest"),
+        (["train.py", "fast", "--gamma", "2"], "gamma=2.0"),
+        (["train.py", "fast", "--num-agents", "500"], "num_agents=500"),
+        (["train.py", "fast", "--obstacle-density", "0.9"], "obstacle_density=0.9"),
+        (["train.py", "fast", "--reward", "fame"], "reward='fame' is unknown"),
+        (["evaluate.py", "nobody"], "no policy 'nobody'"),
+        (["evaluate.py"], "name at least one policy"),
+        (["evaluate.py", "random", "--num-arenas", "0"], "num_arenas=0"),
+        (["evaluate.py", "random", "--steps", "-1"], "steps=-1"),
+    ],
+)
+def test_wrong_input_is_one_error_and_leaves_nothing(tmp_path, arguments, message):
+    name, *rest = arguments
+    done = recipe(name, *rest, cwd=tmp_path)
+    assert done.returncode != 0
+    flat = " ".join(done.stderr.replace("│", " ").split())
+    assert message in flat
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_use_is_refused_before_training(tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    done = recipe("train.py", "fast", *TINY, "--out", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: output folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["config.json"]
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    (tmp_path / "policy.safetensors").write_bytes(b"\x00" * 100)
+    done = recipe("evaluate.py", tmp_path)
+    assert done.returncode == 1
+    assert "is not a readable policy file" in done.stderr
