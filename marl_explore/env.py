@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_explore import arenas as suites
 from marl_explore.config import ArenaConfig, require_coverage, require_integer
 from marl_explore.core import mapping, motion, radio, rewards, world
-from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.hashing import combine, text_key
-from marl_explore.core.world import NEVER, WorldState
+from marl_explore.core.world import WorldState
+from marl_explore.specs import exploration_specs
 
 _WORLD_KEYS = {
     "obstacles": "obstacles",
@@ -94,62 +93,9 @@ class ExplorationEnv(EnvBase):
         self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=self.device)
         self._state: tuple[WorldState, LastStep] | None = None
         self._restored = False
-        self._make_specs()
-
-    # ------------------------------------------------------------------ specs
-
-    def _make_specs(self) -> None:
-        config, batch, device = self.config, self.num_envs, self.device
-        robots, height, width = config.num_agents, config.height, config.width
-        side = config.fov_size
-
-        def integer(low: int, high: int, *shape: int, dtype: torch.dtype = torch.int64) -> Bounded:
-            return Bounded(low, high, shape=(batch, *shape), dtype=dtype, device=device)
-
-        def flag(*shape: int) -> Binary:
-            return Binary(shape=(batch, *shape), dtype=torch.bool, device=device)
-
-        def group(shape: tuple[int, ...] = (batch, robots), **entries: Any) -> Composite:
-            return Composite(**entries, shape=shape, device=device)
-
-        def entire(**entries: Any) -> Composite:
-            return group(shape=(batch,), **entries)
-
-        cells = config.num_cells
-        state = {
-            "map": integer(-1, 1, robots, height, width, dtype=torch.int8),
-            "position": integer(0, max(height, width) - 1, robots, 2),
-            "unshared": integer(0, cells, robots, robots),
-            "steps_since_merge": integer(0, NEVER, robots, robots),
-        }
-        fov = Bounded(0, 1, shape=(batch, robots, side, side), dtype=torch.float32, device=device)
-        own_reward = Unbounded(shape=(batch, robots, 1), dtype=torch.float32, device=device)
-        shared = {
-            "obstacles": flag(height, width),
-            "step_count": Unbounded(shape=(batch, 1), dtype=torch.int64, device=device),
-        }
-        self.full_state_spec = entire(**shared, agents=group(**state))
-        self.full_observation_spec = entire(
-            **shared,
-            agents=group(
-                **state,
-                action_mask=flag(robots, NUM_ACTIONS),
-                observation=group(fov=fov),
-                dangerous=flag(robots),
-                merged=flag(robots),
-                discovered=integer(0, cells, robots),
-                received=integer(0, cells, robots),
-                individual_reward=own_reward,
-            ),
-        ).clone()
-        self.full_action_spec = entire(
-            agents=group(action=Categorical(NUM_ACTIONS, shape=(batch, robots), device=device))
-        )
-        self.full_reward_spec = entire(
-            reward=Unbounded(shape=(batch, 1), dtype=torch.float32, device=device)
-        )
-        done = Categorical(2, shape=(batch, 1), dtype=torch.bool, device=device)
-        self.full_done_spec = entire(done=done, terminated=done.clone(), truncated=done.clone())
+        specs = exploration_specs(config, self.batch_size, self.device)
+        self.full_state_spec, self.full_observation_spec, *others = specs
+        self.full_action_spec, self.full_reward_spec, self.full_done_spec = others
 
     @property
     def num_envs(self) -> int:
@@ -208,7 +154,7 @@ class ExplorationEnv(EnvBase):
         if missing:
             raise ValueError(f"reset(set_state=True) needs {_START_KEYS}; missing: {missing}")
         self._check_entries(entries)
-        _check_starts(entries["obstacles"], entries["position"])
+        world.check_starts(entries["obstacles"], entries["position"])
         state = world.start(self.config, entries["obstacles"], entries["position"])
         progress = {name: entries[name] for name in WorldState._fields if name in entries}
         given = [name for name, value in progress.items() if value is not None]
@@ -377,21 +323,3 @@ def _take(part: Any, rows: Tensor) -> Any:
 def _written(part: Any, rows: Tensor, fresh: Any) -> list[Tensor]:
     """Copies of a state's tensors with some rows replaced."""
     return [old.index_put((rows,), new) for old, new in zip(part, fresh, strict=True)]
-
-
-def _check_starts(obstacles: Tensor, position: Tensor) -> None:
-    """Given start cells must be in bounds, free and distinct."""
-    size = torch.tensor(obstacles.shape[-2:], device=position.device)
-    outside = ((position < 0) | (position >= size)).any(-1)
-    _refuse(outside, position, f"is outside the arena of {size[0]} x {size[1]} cells")
-    batch = torch.arange(len(obstacles), device=position.device).unsqueeze(-1)
-    _refuse(obstacles[batch, position[..., 0], position[..., 1]], position, "is an obstacle")
-    same = (position.unsqueeze(-2) == position.unsqueeze(-3)).all(-1)
-    _refuse(same.sum(-1) > 1, position, "holds more than one robot")
-
-
-def _refuse(wrong: Tensor, position: Tensor, reason: str) -> None:
-    if wrong.any():
-        arena, robot = wrong.nonzero()[0].tolist()
-        cell = tuple(position[arena, robot].tolist())
-        raise ValueError(f"start of robot {robot} in arena {arena}: cell {cell} {reason}")

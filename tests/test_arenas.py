@@ -36,7 +36,7 @@ def drawn_slowly(config, seed, arena, episode):
     key = combined(seed, arena, episode)
     cells = range(config.num_cells)
     for attempt in range(1000):
-        order = sorted(cells, key=lambda cell: signed(combined(key, 0, attempt, cell)))  # noqa: B023
+        order = sorted(cells, key=lambda cell: signed(combined(key, 0, attempt, cell)))
         blocked = set(order[: config.num_obstacles])
         obstacles = [
             [row * config.width + column in blocked for column in range(config.width)]

@@ -109,6 +109,32 @@ def advance(
     return after, record
 
 
+def check_starts(obstacles: Tensor, position: Tensor) -> None:
+    """Refuse start cells that are out of bounds, occupied or shared.
+
+    Args:
+        obstacles: bool [B, H, W].
+        position: int64 [B, N, 2].
+
+    Raises:
+        ValueError: naming robot, arena and cell.
+    """
+    size = torch.tensor(obstacles.shape[-2:], device=position.device)
+    outside = ((position < 0) | (position >= size)).any(-1)
+    _refuse(outside, position, f"is outside the arena of {size[0]} x {size[1]} cells")
+    batch = torch.arange(len(obstacles), device=position.device).unsqueeze(-1)
+    _refuse(obstacles[batch, position[..., 0], position[..., 1]], position, "is an obstacle")
+    same = (position.unsqueeze(-2) == position.unsqueeze(-3)).all(-1)
+    _refuse(same.sum(-1) > 1, position, "holds more than one robot")
+
+
+def _refuse(wrong: Tensor, position: Tensor, reason: str) -> None:
+    if wrong.any():
+        arena, robot = wrong.nonzero()[0].tolist()
+        cell = tuple(position[arena, robot].tolist())
+        raise ValueError(f"start of robot {robot} in arena {arena}: cell {cell} {reason}")
+
+
 def num_targets(state: WorldState) -> Tensor:
     """Number of cells to be mapped, int64 [*B]."""
     return state.target.flatten(-2).sum(-1)

@@ -57,8 +57,9 @@ class FrontierReachability(FeatureTransform):
         self._require_cells(position, grid.shape[:-2])
         return feature_table(grid, position, self.normalize)
 
-    def check_values(self, grid: Tensor, position: Tensor) -> None:
+    def check_values(self, *inputs: Tensor) -> None:
         """Positions must lie in the map."""
+        grid, position = inputs
         height, width = grid.shape[-2:]
         size = torch.tensor([height, width], device=position.device)
         outside = ((position < 0) | (position >= size)).any(-1)
