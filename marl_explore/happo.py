@@ -53,15 +53,16 @@ class HAPPOLoss(LossModule):
         critic: module that writes ``value`` from the joint observation or the state; None for
             actors alone.
         views: per actor the (group, index) it reads: its slice of a stacked group [*B, N, ...].
-            An actor without a view reads its own group, whose rows it may share among several
-            agents; the ratios of these are multiplied. Groups may differ in action space.
+            An actor without a view reads its own group. Groups may differ in action space. Where
+            an actor is shared by k agents [*B, k, ...], each agent's ratio is clipped on its own,
+            as in MAPPO, and M takes up their product.
         clip_epsilon: half width of the clipping range of the ratio.
         entropy_coeff: weight of the entropy bonus, not weighted by M.
         value_norm: running statistics in whose units the critic predicts; None: reward units.
         **actor_options: further options of ``ClipPPOLoss``.
 
     Raises:
-        ValueError: for a view of an unknown actor, or actors that share parameters.
+        ValueError: without actors, for a view that fits no actor, or for shared parameters.
     """
 
     @dataclass
@@ -91,7 +92,7 @@ class HAPPOLoss(LossModule):
     ) -> None:
         super().__init__()
         self.views = dict(views or {})
-        _check_actors(actors, self.views)
+        _check_parts(actors, critic, self.views)
         self.actor_losses = nn.ModuleDict()
         for name, actor in actors.items():
             self.actor_losses[name] = ClipPPOLoss(
@@ -105,7 +106,6 @@ class HAPPOLoss(LossModule):
             )
         self.critic = critic
         self.value_norm = value_norm
-        self._value_estimator: GAE | None = None
 
     @property
     def names(self) -> list[str]:
@@ -114,22 +114,31 @@ class HAPPOLoss(LossModule):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """Entries that ``forward`` reads, given an advantage."""
-        keys = {self.tensor_keys.advantage, self.tensor_keys.value_target}
+        """Entries that ``forward`` reads, given an advantage; a factor is optional."""
+        keys = [self.tensor_keys.advantage, self.tensor_keys.value_target]
         for name in self.names:
-            keys.update(self._actor_keys(name))
-        return [*keys, *(self.critic.in_keys if self.critic is not None else [])]
+            keys += self._actor_keys(name)
+        if self.critic is not None:
+            keys += self.critic.in_keys
+        return list(dict.fromkeys(keys))  # in order, each once
 
     @property
     def out_keys(self) -> list[str]:
-        """Entries that ``forward`` returns at least."""
-        losses = [f"loss_{part}_{n}" for n in self.names for part in ("objective", "entropy")]
+        """Losses that ``forward`` returns, beside diagnostics."""
+        losses = [
+            f"{part}_{name}"
+            for name in self.names
+            for part in ("loss_objective", "loss_entropy")
+            if part in self._loss_of(name).out_keys
+        ]
         return [*losses, *(["loss_critic"] if self.critic is not None else [])]
 
     # ------------------------------------------------------------------ losses
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """All losses at the factor found in the TensorDict.
+
+        Without an advantage in it, ``estimate_advantage`` runs first.
 
         Returns:
             Scalars ``loss_objective_<name>``, ``loss_entropy_<name>``, ``loss_critic`` and the
@@ -150,7 +159,8 @@ class HAPPOLoss(LossModule):
 
         Returns:
             Scalars ``loss_objective`` and ``loss_entropy``, and the diagnostics of
-            ``ClipPPOLoss``: entropy, clip_fraction, kl_approx, ESS, mean_ratio, max_ratio.
+            ``ClipPPOLoss``: entropy, clip_fraction, kl_approx, ESS (over the first batch
+            dimension), mean_ratio, max_ratio.
         """
         view = self._view(tensordict, name)
         advantage = tensordict.get(self.tensor_keys.advantage)
@@ -212,7 +222,8 @@ class HAPPOLoss(LossModule):
         if value_type not in (None, ValueEstimators.GAE):
             raise NotImplementedError(f"HAPPOLoss estimates values with GAE, not {value_type}")
         options = {"gamma": 0.99, "lmbda": 0.95, "average_gae": True, **hyperparams}
-        self._value_estimator = GAE(value_network=self._value_network(), **options)
+        # not a submodule: it holds the critic a second time, and its settings are no state
+        self.__dict__["_value_estimator"] = GAE(value_network=self._value_network(), **options)
         self._forward_value_estimator_keys()
         return self
 
@@ -220,9 +231,17 @@ class HAPPOLoss(LossModule):
     def estimate_advantage(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Run GAE over a rollout [*B, T] and update the value statistics, once per batch.
 
-        Writes advantage, value_target and value in place and returns the TensorDict. Truncated
-        episodes bootstrap from the value of their last next observation.
+        Writes advantage, value_target and value (also under "next") in place and returns the
+        TensorDict. Truncated episodes bootstrap from the value of their last next observation.
+
+        Raises:
+            ValueError: for padded trajectories, which the losses would count.
         """
+        if tensordict.get(("collector", "mask"), None) is not None:
+            raise ValueError(
+                "the batch holds ('collector', 'mask'): padded trajectories are not supported, "
+                "collect with split_trajs=False"
+            )
         if self._value_estimator is None:
             self.make_value_estimator()
         self.value_estimator(tensordict)
@@ -243,9 +262,15 @@ class HAPPOLoss(LossModule):
 
     def _forward_value_estimator_keys(self, **_: Any) -> None:
         if self._value_estimator is not None:
-            keys = dict(vars(self.tensor_keys))
-            keys.pop("factor")
-            self._value_estimator.set_keys(**keys)
+            keys = self.tensor_keys
+            self._value_estimator.set_keys(
+                advantage=keys.advantage,
+                value_target=keys.value_target,
+                value=keys.value,
+                reward=keys.reward,
+                done=keys.done,
+                terminated=keys.terminated,
+            )
 
     # -------------------------------------------------------------------- views
 
@@ -281,15 +306,23 @@ def _in_group(key: NestedKey, group: NestedKey) -> bool:
     return path[: len(prefix)] == prefix
 
 
-def _check_actors(actors: Mapping[str, nn.Module], views: Mapping[str, View]) -> None:
-    unknown = sorted(set(views) - set(actors))
-    if unknown:
-        raise ValueError(f"views={unknown} belong to no actor: the actors are {list(actors)}")
+def _check_parts(
+    actors: Mapping[str, Any], critic: nn.Module | None, views: Mapping[str, View]
+) -> None:
+    if not actors:
+        raise ValueError("actors={} is empty: HAPPOLoss needs at least one actor")
+    for name, (group, _) in views.items():
+        if name not in actors:
+            raise ValueError(f"views[{name!r}] belongs to no actor: they are {list(actors)}")
+        keys = actors[name].in_keys
+        if not any(_in_group(key, group) for key in keys):
+            raise ValueError(f"views[{name!r}] is of the group {group!r}, but it reads {keys}")
     owners: dict[int, str] = {}
-    for name, actor in actors.items():
-        for parameter in actor.parameters():
-            if owners.setdefault(id(parameter), name) != name:
+    for name, part in {**actors, "critic": critic}.items():
+        for parameter in part.parameters() if part is not None else ():
+            owner = owners.setdefault(id(parameter), name)
+            if owner != name:
                 raise ValueError(
-                    f"actors {owners[id(parameter)]!r} and {name!r} share parameters: an update "
-                    "of one would change the other's ratios"
+                    f"{owner!r} and {name!r} share parameters: an update of one would move the "
+                    "other"
                 )

@@ -154,7 +154,7 @@ def test_a_partial_reset_leaves_the_other_arenas_alone():
     before = td.clone()
     td.set("_reset", torch.tensor([[True], [False], [True], [False]]))
     after = env.reset(td, set_state=False)
-    for key in STATE_KEYS + [("agents", "observation", "fpr"), ("agents", "action_mask")]:
+    for key in [*STATE_KEYS, ("agents", "observation", "fpr"), ("agents", "action_mask")]:
         assert torch.equal(after[key][1::2], before[key][1::2])
     assert (after["step_count"].squeeze(-1) == torch.tensor([0, 3, 0, 3])).all()
     stepped = env.rand_step(after)["next"]

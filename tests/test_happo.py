@@ -478,13 +478,16 @@ class MixedTeam:
 
     def ratio(self, name: str, old: nn.Module, batch: TensorDictBase) -> Tensor:
         """Ratio [*B] of an actor; of the pair it is that of the joint action of both drones."""
-        group = batch[name]
-        if name == "ground":
-            row = [group[key] for key in ("observation", "action_mask", "action")]
-            return (masked_log_prob(self.ground, *row) - masked_log_prob(old, *row).detach()).exp()
-        row = [group[key] for key in ("observation", "action")]
+        if name == "drones":
+            return self.drone_ratios(old, batch).prod(-1)
+        row = [batch[name][key] for key in ("observation", "action_mask", "action")]
+        return (masked_log_prob(self.ground, *row) - masked_log_prob(old, *row).detach()).exp()
+
+    def drone_ratios(self, old: nn.Module, batch: TensorDictBase) -> Tensor:
+        """Ratio [*B, 2] of each drone's own action."""
+        row = [batch["drones"][key] for key in ("observation", "action")]
         change = tanh_normal_log_prob(self.drone, *row) - tanh_normal_log_prob(old, *row).detach()
-        return change.exp().prod(-1)
+        return change.exp()
 
 
 def make_mixed_team() -> MixedTeam:
@@ -533,8 +536,7 @@ def test_mixed_groups_ground_robot_loss_after_the_drones():
     assert_close(got, expected, rtol=1e-4, atol=1e-5)
 
 
-def test_mixed_groups_pair_of_drones_is_one_actor_of_a_joint_action():
-    """min(r M A, clip(r) M A) with the one r that the factor has: the product over the pair."""
+def test_mixed_groups_each_drone_of_a_shared_actor_is_clipped_on_its_own():
     team = make_mixed_team()
     old_ground, old_drone = copy.deepcopy(team.ground), copy.deepcopy(team.drone)
     perturb(team.ground)
@@ -542,11 +544,39 @@ def test_mixed_groups_pair_of_drones_is_one_actor_of_a_joint_action():
     team.loss.update_factor(team.batch, "ground")
     got = team.loss.actor_loss(team.batch, "drones")["loss_objective"]
     expected = clipped_objective(
-        team.ratio("drones", old_drone, team.batch),
-        team.ratio("ground", old_ground, team.batch).detach(),
-        team.batch["advantage"].squeeze(-1),
+        team.drone_ratios(old_drone, team.batch),
+        team.ratio("ground", old_ground, team.batch).detach().unsqueeze(-1),
+        team.batch["advantage"],
     )
     assert_close(got, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda actor, critic: HAPPOLoss({}, critic), "at least one actor"),
+        (
+            lambda actor, critic: HAPPOLoss({"a": actor}, views={"a": ("team", 0)}),
+            "views\\['a'\\].*'team'.*reads",
+        ),
+        (
+            lambda actor, critic: HAPPOLoss({"a": actor}, continuous_actor(critic, "ground")),
+            "'a' and 'critic' share parameters",
+        ),
+    ],
+    ids=["no actors", "view of another group", "critic in an actor"],
+)
+def test_parts_that_do_not_fit_are_refused(build, message):
+    network = ground_network()
+    with pytest.raises(ValueError, match=message):
+        build(masked_actor(network, "ground"), network)
+
+
+def test_padded_batches_are_refused():
+    team = make_mixed_team()
+    padded = team.batch.set(("collector", "mask"), torch.ones(*team.batch.shape, dtype=torch.bool))
+    with pytest.raises(ValueError, match="split_trajs=False"):
+        team.loss.estimate_advantage(padded)
 
 
 # --------------------------------------------------------------------- action masks
@@ -839,7 +869,7 @@ def test_unknown_actor():
 
 
 def test_view_of_an_unknown_actor():
-    with pytest.raises(ValueError, match=r"views=\['scout'\].*\['robot'\]"):
+    with pytest.raises(ValueError, match=r"views\['scout'\].*\['robot'\]"):
         HAPPOLoss(
             {"robot": masked_actor(ground_network(), "robot")}, views={"scout": ("agents", 0)}
         )
