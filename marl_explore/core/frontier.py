@@ -72,7 +72,7 @@ def nearest_frontier(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
     rank = found.length.long() * NUM_DIRECTIONS + found.direction
     nearest = torch.zeros(position.shape[:-1].numel(), dtype=torch.int64, device=grid.device)
     nearest.scatter_reduce_(0, found.robot, rank, "amin", include_self=False)
-    nearest = nearest.view(*batch)
+    nearest = nearest.view(batch)
     return nearest % NUM_DIRECTIONS, nearest // NUM_DIRECTIONS
 
 

@@ -9,6 +9,9 @@ from torch import Tensor
 
 from marl_explore.config import TOLERANCE
 
+_FARTHEST = 2**62
+"""More than the squared distance of any two cells; infinite ranges end here (int64)."""
+
 
 def in_range(position: Tensor, range_cells: float) -> Tensor:
     """Pairs of robots at most ``range_cells`` apart, bool [*B, N, N] with a True diagonal.
@@ -18,10 +21,9 @@ def in_range(position: Tensor, range_cells: float) -> Tensor:
         range_cells: communication range (cells; may be infinite).
     """
     squared = (position.unsqueeze(-2) - position.unsqueeze(-3)).square().sum(-1)
-    limit = torch.iinfo(torch.int64).max
-    if math.isfinite(range_cells):
-        limit = math.floor((range_cells + TOLERANCE) ** 2)
-    return squared <= limit
+    # whole squared distances, so that no rounding of square roots decides
+    limit = min((range_cells + TOLERANCE) ** 2, float(_FARTHEST))
+    return squared <= math.floor(limit)
 
 
 def has_neighbor(reach: Tensor) -> Tensor:

@@ -33,8 +33,8 @@ def flood(
         front: uint8 [H+2, W+2, M], the labels at distance 1, zero elsewhere.
         fresh: uint8 [H+2, W+2, M], ALL where a path may go, 0 where it may not and on the border.
         passable: uint8 [H+2, W+2, M], ALL except in cells that block a diagonal.
-        levels: grow exactly this often without asking whether anything is left (no host
-            synchronisation); None: until no front is left.
+        levels: length of the longest paths, reached without asking whether anything is left (no
+            host synchronisation); None: as long as there are any.
 
     Returns:
         labels uint8 and distances int16 (0 where never reached), both [H+2, W+2, M].
@@ -44,8 +44,8 @@ def flood(
     fresh = fresh & _closed(front)
     # how many levels each cell waited to be reached; a byte would overflow in long mazes
     waited = (fresh & 1).to(torch.int16)
-    level = 0
-    while level != levels:
+    level = 1
+    while levels is None or level < levels:
         level += 1
         front = _spread(front, passable).bitwise_and_(fresh)
         if levels is None and level % 2 == 0 and not front.any():

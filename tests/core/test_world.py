@@ -32,6 +32,11 @@ def steps_of(scenario):
         state = after
 
 
+def named(name):
+    """Message of a failed comparison that tells what was compared."""
+    return lambda message: f"{name}: {message}"
+
+
 def complete_maps(state):
     return known_targets(state.map, state.target) == num_targets(state).unsqueeze(-1)
 
@@ -100,7 +105,7 @@ def assert_record_agrees(record, after, events, worlds):
     assert record.complete.tolist() == complete_maps(after).any(-1).tolist()
     for name, reward in REWARDS.items():
         judged = torch.tensor([event.rewards[name] for event in events])
-        torch.testing.assert_close(reward(record), judged, rtol=1e-5, atol=1e-5, msg=name)
+        torch.testing.assert_close(reward(record), judged, rtol=1e-5, atol=1e-5, msg=named(name))
 
 
 @pytest.mark.parametrize("sensing", SENSING, ids=str)
@@ -244,7 +249,9 @@ def test_the_order_of_the_robots_does_not_matter(scenario, data):
         assert mirror.unshared.equal(state.unshared[:, order][:, :, order])
         assert mirror.steps_since_merge.equal(state.steps_since_merge[:, order][:, :, order])
         for name, reward in REWARDS.items():
-            torch.testing.assert_close(reward(mirror_record), reward(record)[:, order], msg=name)
+            torch.testing.assert_close(
+                reward(mirror_record), reward(record)[:, order], msg=named(name)
+            )
 
 
 @repeatable(max_examples=40)
