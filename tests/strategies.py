@@ -86,9 +86,10 @@ def scenarios(
         batch: fewest and most arenas.
     """
     radius, occlusion = sensing or draw(st.sampled_from(SENSING))
+    side = st.integers(4, 6) | st.integers(4, max_side)  # small arenas are mapped to the end
     rules = reference.Rules(
-        height=draw(st.integers(4, max_side)),
-        width=draw(st.integers(4, max_side)),
+        height=draw(side),
+        width=draw(side),
         num_agents=draw(st.integers(1, 6)),
         fov_radius=radius,
         communication_cells=draw(st.sampled_from(COMMUNICATION_CELLS)),
@@ -115,7 +116,7 @@ def scenarios(
 
 @st.composite
 def _boards(draw, rules: reference.Rules, connected: bool) -> Board:
-    """An arena with robots on random free cells, or crowded around one of them."""
+    """An arena with robots on random free cells, crowded around one of them, or in a chain."""
     # one seed instead of a draw per cell: a 20 x 20 board stays cheap
     chance = random.Random(draw(st.integers(0, 2**32 - 1)))
     cells = [(r, c) for r in range(rules.height) for c in range(rules.width)]
@@ -129,10 +130,23 @@ def _boards(draw, rules: reference.Rules, connected: bool) -> Board:
     free = [cell for cell in cells if cell not in walls]
     assume(len(free) >= rules.num_agents)
     chance.shuffle(free)
-    if draw(st.booleans()):
+    layout = draw(st.sampled_from(("scattered", "crowded", "chain")))
+    if layout == "crowded":
         free.sort(key=lambda cell: math.dist(cell, centre))
+    if layout == "chain":
+        free = _chain(free, rules.communication_cells)
     robots = {cell: str(robot) for robot, cell in enumerate(free[: rules.num_agents])}
     return _drawn([robots.get(cell, "#" if cell in walls else ".") for cell in cells], rules.width)
+
+
+def _chain(free: list[tuple[int, int]], reach: float) -> list[tuple[int, int]]:
+    """The cells in an order in which each is in range of the one before, away from the first."""
+    ordered, rest = free[:1], free[1:]
+    while rest:
+        near = [cell for cell in rest if math.dist(cell, ordered[-1]) <= reach] or rest
+        ordered.append(max(near, key=lambda cell: math.dist(cell, ordered[0])))
+        rest.remove(ordered[-1])
+    return ordered
 
 
 def _actions(robots: int, steps: int) -> st.SearchStrategy[list[list[int]]]:

@@ -94,6 +94,12 @@ def test_a_lone_communicator_is_idle_only_in_case2_literal():
     assert_rewards(case2_literal, step, [-1.0])
 
 
+def test_a_lone_communicator_gets_nothing_even_for_discoveries():
+    """It cannot discover in an episode, but a state that is set by hand may leave cells to see."""
+    assert_rewards(case2, record("talk", discovered=[3]), [0.0])
+    assert_rewards(case2_literal, record("talk", discovered=[3]), [3 / 5 - 1])
+
+
 @pytest.mark.parametrize("reward", [case2, case2_literal])
 def test_case2_pays_a_merge_by_what_it_brought_and_what_was_new_to_the_others(reward):
     step = record("talk talk talk E", **MERGE_OF_THREE)

@@ -109,7 +109,7 @@ def assert_record_agrees(record, after, events, worlds):
 
 
 @pytest.mark.parametrize("sensing", SENSING, ids=str)
-@repeatable(max_examples=30)
+@repeatable(max_examples=40)
 @given(data=st.data())
 def test_whole_episodes_agree_with_the_reference(sensing, data):
     scenario = data.draw(scenarios(sensing=sensing))
@@ -164,6 +164,11 @@ def relay(config, before, action, after, record):
     return record.network & ~in_range(after.position, config.communication_cells)
 
 
+def long_relay(config, before, action, after, record):
+    near = in_range(after.position, config.communication_cells).float()
+    return record.network & (near @ near == 0)  # not even a common neighbour
+
+
 def two_networks(config, before, action, after, record):
     return record.merged.unsqueeze(-1) & record.merged.unsqueeze(-2) & ~record.network
 
@@ -176,6 +181,10 @@ def empty_merge(config, before, action, after, record):
     return record.merged & (record.received == 0)
 
 
+def one_complete_map(config, before, action, after, record):
+    return complete_maps(after).any(-1) & ~complete_maps(after).all(-1)
+
+
 def lone_communicator(config, before, action, after, record):
     return (action == COMMUNICATE) & ~record.merged
 
@@ -185,10 +194,12 @@ EVENTS = (
     crossing,
     masked_action,
     relay,
+    long_relay,
     two_networks,
     enlarging_merge,
     empty_merge,
     lone_communicator,
+    one_complete_map,
 )
 
 
@@ -344,6 +355,20 @@ def test_moving_sensing_and_merging_keep_their_books():
     assert state.steps_since_merge.tolist() == [[0, 1], [1, 0]]
     assert state.map.equal(torch.stack((map_cells(".......??"), map_cells("...?....?"))))
     assert state.step_count.tolist() == [3]
+
+
+def test_the_step_is_complete_when_one_map_is():
+    config = ArenaConfig(height=1, width=8, num_agents=2, obstacle_density=0)
+    state = start(config, *arena(".0..#1.."))
+    state, record = advance(config, state, actions("E stay"))
+    assert complete_maps(state).tolist() == [False, False]
+    assert record.complete.item() is False
+
+    knows_all = state.map.clone()
+    knows_all[0] = map_cells("....#...")
+    state, record = advance(config, state._replace(map=knows_all), actions("stay stay"))
+    assert complete_maps(state).tolist() == [True, False]
+    assert record.complete.item() is True
 
 
 def test_steps_since_the_last_merge_saturate():
