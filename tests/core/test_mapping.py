@@ -246,6 +246,12 @@ def test_target_cells_are_the_reachable_ones_and_their_4_neighbours():
     """
     # the obstacle in the third column of row 2 touches the room only by its corner
     assert marked(target_cells(*arena(board))) == ["xxx.", "xxx.", "xx..", "...."]
+    turned = """
+        ....
+        .###
+        .#0.
+    """
+    assert marked(target_cells(*arena(turned))) == ["....", "..xx", ".xxx"]
 
 
 def test_what_any_robot_can_reach_is_a_target():
