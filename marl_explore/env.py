@@ -155,12 +155,10 @@ class ExplorationEnv(EnvBase):
             raise ValueError(f"reset(set_state=True) needs {_START_KEYS}; missing: {missing}")
         self._check_entries(entries)
         world.check_starts(entries["obstacles"], entries["position"])
-        state = world.start(self.config, entries["obstacles"], entries["position"])
-        progress = {name: entries[name] for name in WorldState._fields if name in entries}
-        given = [name for name, value in progress.items() if value is not None]
-        if set(given) == set(progress):
-            return state._replace(**{name: value.clone() for name, value in progress.items()})
-        return state
+        if any(value is None for value in entries.values()):
+            return world.start(self.config, entries["obstacles"], entries["position"])
+        entries["grid"] = entries.pop("map")
+        return world.resume(**{name: value.clone() for name, value in entries.items()})
 
     def _check_entries(self, entries: dict[str, Tensor | None]) -> None:
         """Given entries must have their spec's dtype and shape."""
@@ -198,7 +196,7 @@ class ExplorationEnv(EnvBase):
         )
         self._state = state, last
         output = self._observe()
-        terminated = self._covered(state).unsqueeze(-1)
+        terminated = self._covered(state, record).unsqueeze(-1)
         truncated = state.step_count >= self.max_steps
         output.set("reward", reward.mean(-1, keepdim=True))
         output.set("terminated", terminated)
@@ -206,10 +204,12 @@ class ExplorationEnv(EnvBase):
         output.set("done", terminated | truncated)
         return output
 
-    def _covered(self, state: WorldState) -> Tensor:
+    def _covered(self, state: WorldState, record: rewards.StepRecord) -> Tensor:
         """Arenas whose largest map covers the share that ends an episode, bool [B]."""
         if self.terminate_at_coverage is None:
             return torch.zeros(self.batch_size, dtype=torch.bool, device=self.device)
+        if self.terminate_at_coverage == 1:
+            return record.complete
         largest = mapping.known_targets(state.map, state.target).amax(-1)
         # whole cells are compared: the epsilon keeps 0.9 * 110 from asking for one cell more
         share = self.terminate_at_coverage * world.num_targets(state).double()
@@ -219,7 +219,6 @@ class ExplorationEnv(EnvBase):
         """All observation entries, in one nested TensorDict."""
         (state, last), config = self._now, self.config
         reach = radio.in_range(state.position, config.communication_cells)
-        moves = motion.open_moves(state.obstacles, state.position)
         fov = mapping.field_of_view(
             state.obstacles, state.position, config.fov_radius, config.occlusion
         )
@@ -230,7 +229,7 @@ class ExplorationEnv(EnvBase):
                 "position": state.position,
                 "unshared": state.unshared,
                 "steps_since_merge": state.steps_since_merge,
-                "action_mask": motion.action_mask(moves, reach),
+                "action_mask": motion.action_mask(state.open_moves, reach),
                 "observation": TensorDict({"fov": fov}, batch_size=group, device=self.device),
                 **last._asdict(),
             },

@@ -30,21 +30,9 @@ def action_offsets(device: torch.device) -> Tensor:
 
 
 @lru_cache
-def square_offsets(radius: int, device: torch.device) -> Tensor:
-    """Offsets of the cells of a square of side 2 radius + 1, row by row, int64 [(2r+1)^2, 2]."""
-    side = torch.arange(-radius, radius + 1, device=device)
-    return torch.cartesian_prod(side, side)
-
-
-def read_cells(grid: Tensor, cells: Tensor, outside: bool | int) -> Tensor:
-    """Values of a grid [*B, H, W] at cells [*B, ..., 2]; ``outside`` for cells off the grid."""
-    height, width = grid.shape[-2:]
-    row, column = cells.unbind(-1)
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    index = (row * width + column).where(inside, 0)
-    batch = grid.shape[:-2]
-    values = grid.flatten(-2).gather(-1, index.reshape(*batch, -1)).view(index.shape)
-    return values.where(inside, outside)
+def _ring(device: torch.device) -> Tensor:
+    """Places of the eight neighbours in a flattened 3 x 3 square, in compass order, int64 [8]."""
+    return torch.tensor([3 * (1 + r) + 1 + c for r, c in COMPASS], device=device)
 
 
 def square_around(grid: Tensor, position: Tensor, radius: int, outside: bool | int) -> Tensor:
@@ -52,22 +40,29 @@ def square_around(grid: Tensor, position: Tensor, radius: int, outside: bool | i
 
     Args:
         grid: [*B, H, W].
-        position: int64 [*B, N, 2].
+        position: int64 [*B, N, 2], inside the grid.
         radius: half side of the square (cells).
         outside: value of cells off the grid.
 
     Returns:
         [*B, N, 2 radius + 1, 2 radius + 1], row 0 north.
     """
-    cells = position.unsqueeze(-2) + square_offsets(radius, position.device)
-    side = 2 * radius + 1
-    return read_cells(grid, cells, outside).unflatten(-1, (side, side))
+    padded = torch.nn.functional.pad(grid, (radius,) * 4, value=outside)
+    side, stride = 2 * radius + 1, padded.shape[-1]
+    steps = torch.arange(side, device=grid.device)
+    corner = position[..., 0] * stride + position[..., 1]
+    index = corner[..., None, None] + stride * steps.unsqueeze(-1) + steps
+    values = padded.flatten(-2).gather(-1, index.flatten(-3))
+    return values.view(index.shape)
 
 
-def one_hot_cells(position: Tensor, height: int, width: int, radius: int = 0) -> Tensor:
-    """Cells at most ``radius`` rows and columns away, bool [..., H, W], for position [..., 2]."""
-    rows = torch.arange(height, device=position.device)
-    columns = torch.arange(width, device=position.device)
-    near_row = (rows - position[..., 0:1]).abs() <= radius
-    near_column = (columns - position[..., 1:2]).abs() <= radius
-    return near_row.unsqueeze(-1) & near_column.unsqueeze(-2)
+def neighbors(grid: Tensor, position: Tensor, outside: bool | int) -> Tensor:
+    """Values of the eight cells around each robot in compass order, [*B, N, 8]."""
+    square = square_around(grid, position, 1, outside).flatten(-2)
+    return square.index_select(-1, _ring(grid.device))
+
+
+def with_robots(obstacles: Tensor, position: Tensor) -> Tensor:
+    """Obstacles bool [*B, H, W] and the cells of the robots [*B, N, 2] as one grid."""
+    cell = position[..., 0] * obstacles.shape[-1] + position[..., 1]
+    return obstacles.flatten(-2).scatter(-1, cell, True).view(obstacles.shape)

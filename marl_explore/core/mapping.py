@@ -5,14 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import (
-    NUM_DIRECTIONS,
-    UNKNOWN,
-    compass,
-    one_hot_cells,
-    read_cells,
-    square_around,
-)
+from marl_explore.core.grid import square_around, with_robots
 from marl_explore.core.wavefront import flood, to_bytes
 
 
@@ -30,13 +23,10 @@ def field_of_view(
     Returns:
         float32 [*B, N, 2k + 1, 2k + 1], row 0 north; the own cell is 0.
     """
-    occupied = square_around(obstacles, position, radius, outside=True)
-    offset = position.unsqueeze(-3) - position.unsqueeze(-2) + radius  # of robot j from robot i
-    robots = one_hot_cells(offset, 2 * radius + 1, 2 * radius + 1)
-    itself = torch.eye(position.shape[-2], dtype=torch.bool, device=position.device)
-    view = occupied | (robots & ~itself[..., None, None]).any(-3)
+    view = square_around(with_robots(obstacles, position), position, radius, outside=True)
+    view[..., radius, radius] = False
     if occlusion:
-        view |= _corners(blocked_diagonals(obstacles, position))
+        view |= _hidden(obstacles, position)
     return view.float()
 
 
@@ -56,27 +46,33 @@ def sense(
         int8 [*B, N, H, W], a new tensor.
     """
     height, width = obstacles.shape[-2:]
-    seen = one_hot_cells(position, height, width, radius)
+    reach = torch.arange(-radius, radius + 1, device=position.device)
+    # a cell off the grid is drawn in to the nearest one on it, which is in view as well
+    row = (position[..., 0:1] + reach).clamp(0, height - 1)
+    column = (position[..., 1:2] + reach).clamp(0, width - 1)
+    cell = (row.unsqueeze(-1) * width + column.unsqueeze(-2)).flatten(-2)
+    seen = obstacles.flatten(-2).gather(-1, cell.flatten(-2)).view(cell.shape).to(grid.dtype)
+    known = grid.flatten(-2)
     if occlusion:
-        corner = position.unsqueeze(-2) + compass(position.device)[1::2]
-        hidden = one_hot_cells(corner, height, width)
-        hidden &= blocked_diagonals(obstacles, position)[..., 1::2, None, None]
-        seen &= ~hidden.any(-3)
-    return torch.where(seen, obstacles.unsqueeze(-3).to(grid.dtype), grid)
+        hidden = _hidden(obstacles, position).flatten(-2)
+        seen = torch.where(hidden, known.gather(-1, cell), seen)
+    return known.scatter(-1, cell, seen).view(grid.shape)
 
 
-def blocked_diagonals(obstacles: Tensor, position: Tensor) -> Tensor:
-    """Directions that two static obstacles close, bool [*B, N, 8]; False for straight ones."""
-    straight = position.unsqueeze(-2) + compass(position.device)[0::2]
-    wall = read_cells(obstacles, straight, outside=False)
-    closed = wall & wall.roll(-1, -1)
+def _hidden(obstacles: Tensor, position: Tensor) -> Tensor:
+    """Corners of the 3 x 3 field of view behind two obstacles, bool [*B, N, 3, 3]."""
+    wall = square_around(obstacles, position, 1, outside=False)
+    hidden = torch.zeros_like(wall)
+    beside_row, beside_column = wall[..., ::2, 1:2], wall[..., 1:2, ::2]
+    hidden[..., ::2, ::2] = beside_row & beside_column
+    return hidden
+
+
+def closed_diagonals(wall: Tensor) -> Tensor:
+    """Directions between two walls, bool [*B, N, 8], of the walls in all directions [*B, N, 8]."""
+    straight = wall[..., 0::2]
+    closed = straight & straight.roll(-1, -1)
     return torch.stack((torch.zeros_like(closed), closed), -1).flatten(-2)
-
-
-def _corners(diagonals: Tensor) -> Tensor:
-    """Directions [*B, N, 8] as a 3 x 3 field of view."""
-    order = torch.tensor([7, 0, 1, 6, NUM_DIRECTIONS, 2, 5, 4, 3], device=diagonals.device)
-    return torch.nn.functional.pad(diagonals, (0, 1))[..., order].unflatten(-1, (3, 3))
 
 
 def merge(grid: Tensor, network: Tensor) -> Tensor:
@@ -89,13 +85,20 @@ def merge(grid: Tensor, network: Tensor) -> Tensor:
     Returns:
         int8 [*B, N, H, W], a new tensor.
     """
-    others = torch.where(network[..., None, None], grid.unsqueeze(-4), UNKNOWN).amax(-3)
-    return torch.maximum(grid, others)
+    # codes 0, 1, 2, so that a product leaves out the maps of others: bytes are fast, masks are not
+    codes = (grid + 1).unsqueeze(-4)
+    union = (network.to(grid.dtype)[..., None, None] * codes).amax(-3) - 1
+    return torch.maximum(grid, union)
+
+
+def known_mask(grid: Tensor) -> Tensor:
+    """1 at known cells, int8, 0 elsewhere; maps of any shape."""
+    return (grid + 1).clamp_max(1)
 
 
 def known_cells(grid: Tensor) -> Tensor:
     """Number of known cells |M|, int64 [*B], of maps [*B, H, W]."""
-    return (grid != UNKNOWN).flatten(-2).sum(-1)
+    return known_mask(grid).flatten(-2).float().sum(-1).long()  # float adds fastest, exact to 2^24
 
 
 def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
@@ -110,9 +113,10 @@ def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
     """
     *batch, height, width = obstacles.shape
     free = to_bytes(~obstacles.reshape(-1, height, width))
-    starts = one_hot_cells(position, height, width).any(-3)
+    starts = with_robots(torch.zeros_like(obstacles), position)
     labels, _ = flood(to_bytes(starts.reshape(-1, height, width)), free, free)
-    return (labels != 0)[1:-1, 1:-1].permute(2, 0, 1).reshape(*batch, height, width)
+    reached = (labels != 0)[1:-1, 1:-1].permute(2, 0, 1).contiguous()
+    return reached.view(*batch, height, width)
 
 
 def target_cells(obstacles: Tensor, position: Tensor) -> Tensor:
@@ -138,4 +142,5 @@ def connected(obstacles: Tensor) -> Tensor:
 
 def known_targets(grid: Tensor, target: Tensor) -> Tensor:
     """Target cells [*B, H, W] that each robot's map [*B, N, H, W] knows, int64 [*B, N]."""
-    return ((grid != UNKNOWN) & target.unsqueeze(-3)).flatten(-2).sum(-1)
+    known = known_mask(grid) * target.unsqueeze(-3).to(grid.dtype)
+    return known.flatten(-2).float().sum(-1).long()

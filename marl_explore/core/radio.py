@@ -19,10 +19,10 @@ def in_range(position: Tensor, range_cells: float) -> Tensor:
         position: int64 [*B, N, 2].
         range_cells: communication range (cells; may be infinite).
     """
-    squared = (position.unsqueeze(-2) - position.unsqueeze(-3)).square().sum(-1)
+    row, column = ((x.unsqueeze(-1) - x.unsqueeze(-2)).square() for x in position.unbind(-1))
     # whole squared distances, so that no rounding of square roots decides
     limit = min((range_cells + TOLERANCE) ** 2, float(_FARTHEST))
-    return squared <= math.floor(limit)
+    return row + column <= math.floor(limit)
 
 
 def has_neighbor(reach: Tensor) -> Tensor:
@@ -40,9 +40,9 @@ def networks(reach: Tensor, communicating: Tensor) -> Tensor:
     Returns:
         bool [*B, N, N], True on the diagonal for members; networks have at least two members.
     """
-    joined = reach & communicating.unsqueeze(-1) & communicating.unsqueeze(-2)
+    joined = (reach & communicating.unsqueeze(-1) & communicating.unsqueeze(-2)).float()
     robots = communicating.shape[-1]
     for _ in range((robots - 1).bit_length()):  # each pass doubles the length of the chains
-        joined = (joined.unsqueeze(-1) & joined.unsqueeze(-3)).any(-2)
-    member = joined.sum(-1) > 1
-    return joined & member.unsqueeze(-1)
+        joined = (joined @ joined).clamp_max(1)
+    members = joined.sum(-1, keepdim=True)
+    return (joined > 0) & (members > 1)

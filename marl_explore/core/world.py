@@ -35,6 +35,10 @@ class WorldState(NamedTuple):
     """Steps since i and j were in one network, int64 [*B, N, N]; NEVER before; 0 for j = i."""
     step_count: Tensor
     """Steps of the episode so far, int64 [*B, 1]."""
+    open_moves: Tensor
+    """Moves without a visible danger, bool [*B, N, 8]; follows from obstacles and positions."""
+    known: Tensor
+    """Number of known cells of each map, int64 [*B, N]; follows from the maps."""
 
 
 def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldState:
@@ -52,14 +56,35 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
     )
     grid = sense(unknown, obstacles, position, config.fov_radius, config.occlusion)
     others = _others(robots, position.device)
+    return resume(
+        obstacles,
+        position,
+        grid,
+        unshared=known_cells(grid).unsqueeze(-1) * others,
+        steps_since_merge=(NEVER * others).expand(*batch, robots, robots).clone(),
+        step_count=position.new_zeros(*batch, 1),
+    )
+
+
+def resume(
+    obstacles: Tensor,
+    position: Tensor,
+    grid: Tensor,
+    unshared: Tensor,
+    steps_since_merge: Tensor,
+    step_count: Tensor,
+) -> WorldState:
+    """State of an episode under way, from all that does not follow from something else."""
     return WorldState(
         obstacles=obstacles,
         target=target_cells(obstacles, position),
         map=grid,
         position=position,
-        unshared=known_cells(grid).unsqueeze(-1) * others,
-        steps_since_merge=(NEVER * others).expand(*batch, robots, robots).clone(),
-        step_count=position.new_zeros(*batch, 1),
+        unshared=unshared,
+        steps_since_merge=steps_since_merge,
+        step_count=step_count,
+        open_moves=open_moves(obstacles, position),
+        known=known_cells(grid),
     )
 
 
@@ -76,14 +101,14 @@ def advance(
     Returns:
         The state after the step, and the record of what happened.
     """
-    dangerous = dangerous_moves(open_moves(state.obstacles, state.position), state.position, action)
+    dangerous = dangerous_moves(state.open_moves, state.position, action)
     position = move(state.position, action, dangerous)
     sensed = sense(state.map, state.obstacles, position, config.fov_radius, config.occlusion)
     network = networks(in_range(position, config.communication_cells), action == COMMUNICATE)
     merged = merge(sensed, network)
 
     known_sensed, known = known_cells(sensed), known_cells(merged)
-    discovered = known_sensed - known_cells(state.map)
+    discovered = known_sensed - state.known
     others = _others(action.shape[-1], action.device)
     unshared = state.unshared + discovered.unsqueeze(-1) * others
     waited = (state.steps_since_merge + others).clamp_max(NEVER)
@@ -93,6 +118,8 @@ def advance(
         unshared=unshared.masked_fill(network, 0),
         steps_since_merge=waited.masked_fill(network, 0),
         step_count=state.step_count + 1,
+        open_moves=open_moves(state.obstacles, position),
+        known=known,
     )
     record = StepRecord(
         action=action,
