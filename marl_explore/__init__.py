@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from marl_explore.env import ExplorationEnv
     from marl_explore.happo import HAPPOLoss
     from marl_explore.make import make_env
+    from marl_explore.native import backend
     from marl_explore.policies import list_policies, load_policy
     from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
 
@@ -24,6 +25,7 @@ _HOMES = {
     "ExplorationEnv": "env",
     "FrontierReachability": "transforms",
     "HAPPOLoss": "happo",
+    "backend": "native",
     "list_policies": "policies",
     "list_suites": "arenas",
     "load_policy": "policies",
@@ -36,6 +38,7 @@ __all__ = [
     "ExplorationEnv",
     "FrontierReachability",
     "HAPPOLoss",
+    "backend",
     "list_policies",
     "list_suites",
     "load_policy",

@@ -77,7 +77,7 @@ def nearest_frontier(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Trajectories(NamedTuple):
-    """The shortest paths of a batch of robots to their frontiers, one entry each."""
+    """The shortest paths of a batch of robots to their frontiers; entries of length 0 are none."""
 
     robot: Tensor
     """Row of the batch, int64 [F]."""
@@ -91,10 +91,13 @@ def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Traject
     """Paths to all reachable frontiers of maps [M, H, W] from positions [M, 2]."""
     passable = to_bytes(grid != OCCUPIED)
     labels, distance = flood(*_first_moves(grid, position, passable), passable, levels)
-    reached = (labels & to_bytes(frontier_mask(grid))).flatten()
-    cell = reached.nonzero().squeeze(-1)
-    direction = _lowest_bit(cell.device)[reached[cell].int()]
-    return Trajectories(cell % grid.shape[0], direction, distance.flatten()[cell].double())
+    labels &= to_bytes(frontier_mask(grid))
+    distance = distance.mul_(labels != 0).flatten()
+    # only the few frontiers are worth looking at; how many they are takes a host synchronisation
+    cell = distance.nonzero().squeeze(-1) if levels is None else torch.arange(len(distance))
+    cell = cell.to(grid.device)
+    direction = _lowest_bit(grid.device)[labels.flatten()[cell].int()]
+    return Trajectories(cell % grid.shape[0], direction, distance[cell].double())
 
 
 class Moments(NamedTuple):
@@ -109,7 +112,7 @@ class Moments(NamedTuple):
 def _moments(found: Trajectories, robots: int) -> Moments:
     """Number, sum and squares of the path lengths of each robot and direction."""
     length = found.length
-    powers = torch.stack((torch.ones_like(length), length, length * length), -1)
+    powers = torch.stack(((length > 0).double(), length, length * length), -1)
     sums = powers.new_zeros(robots * NUM_DIRECTIONS, 3)
     sums.index_add_(0, found.robot * NUM_DIRECTIONS + found.direction, powers)
     longest = length.new_zeros(robots).scatter_reduce_(0, found.robot, length, "amax")

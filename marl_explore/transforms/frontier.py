@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import torch
 from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from marl_explore.core.frontier import NORMALIZATIONS, Normalization, feature_table
+from marl_explore import native
+from marl_explore.core import frontier
+from marl_explore.core.frontier import NORMALIZATIONS, Normalization
 from marl_explore.core.grid import NUM_DIRECTIONS
 from marl_explore.transforms.base import FeatureTransform
 
+Backend = Literal["auto", "torch", "native"]
+BACKENDS: tuple[Backend, ...] = ("auto", "torch", "native")
 _FEATURES = 3
 
 
@@ -26,10 +32,14 @@ class FrontierReachability(FeatureTransform):
         position_key: entry with the (row, column) positions.
         out_key: entry to write.
         normalize: "relative", "proximity", "absolute" or None for cells.
-        backend: "auto" or "torch".
+        backend: "torch", "native" (C, CPU tensors only), or "auto": native where it can be used.
+            The numbers are the same to the last bit.
+        levels: longest path that is looked for (cells), on torch. It fixes the number of
+            operations, so that a GPU is never waited for; None: all paths.
 
     Raises:
         ValueError: for an unknown normalisation or backend, or entries of another dtype or shape.
+        RuntimeError: when the native backend is asked for and cannot be used.
     """
 
     def __init__(
@@ -38,24 +48,39 @@ class FrontierReachability(FeatureTransform):
         position_key: NestedKey = ("agents", "position"),
         out_key: NestedKey = ("agents", "observation", "fpr"),
         normalize: Normalization | None = "relative",
-        backend: str = "auto",
+        backend: Backend = "auto",
+        levels: int | None = None,
     ) -> None:
         if normalize not in NORMALIZATIONS:
             raise ValueError(f"normalize={normalize!r} is not one of {NORMALIZATIONS}")
-        if backend not in ("auto", "torch"):
-            raise ValueError(f"backend={backend!r} is not one of ('auto', 'torch')")
+        if backend not in BACKENDS:
+            raise ValueError(f"backend={backend!r} is not one of {BACKENDS}")
+        if levels is not None and (levels < 1 or backend == "native"):
+            raise ValueError(f"levels={levels!r} must be at least 1 and goes with torch")
+        if backend == "native" and (reason := native.missing()):
+            raise RuntimeError(f"backend='native' cannot be used: {reason}")
         super().__init__([map_key, position_key], out_key)
         self.normalize: Normalization | None = normalize
+        self.backend = backend
+        self.levels = levels
 
-    def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
+    def compute(self, *inputs: Tensor) -> Tensor:
         """The feature table float32 [*B, 8, 3] of maps [*B, H, W] and positions [*B, 2]."""
+        grid, position = inputs
         if grid.dtype != torch.int8 or grid.ndim < 2:
             raise ValueError(
                 f"FrontierReachability: {self.in_keys[0]!r} must be int8 of shape [*B, H, W], "
                 f"got {grid.dtype} of shape {tuple(grid.shape)}"
             )
         self._require_cells(position, grid.shape[:-2])
-        return feature_table(grid, position, self.normalize)
+        if self._is_native(grid):
+            return native.feature_table(grid, position, self.normalize)
+        return frontier.feature_table(grid, position, self.normalize, self.levels)
+
+    def _is_native(self, grid: Tensor) -> bool:
+        if self.backend == "auto":
+            return grid.device.type == "cpu" and self.levels is None and native.missing() is None
+        return self.backend == "native"
 
     def check_values(self, *inputs: Tensor) -> None:
         """Positions must lie in the map."""

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from marl_explore.core.frontier import (
     NORMALIZATIONS,
-    feature_table,
     frontier_mask,
     nearest_frontier,
 )
 from marl_explore.core.world import advance, start
 from tests import reference
 from tests.boards import ACTIONS, known_map, map_cells
+from tests.implementations import feature_table
 from tests.strategies import island_maps, repeatable, scenarios
 
 

@@ -1,0 +1,133 @@
+"""The one hot kernel in C: frontier tables on the CPU, where the package was built with a compiler.
+
+The C file is built as an optional extension when the package is installed and loaded with ctypes;
+without it everything works on torch. ``marl_explore.backend()`` tells which is in use and why.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.frontier import NORMALIZATIONS, Normalization
+from marl_explore.core.grid import NUM_DIRECTIONS
+
+_MODES = {None: 0, "relative": 1, "proximity": 2, "absolute": 3}
+ROBOTS_PER_THREAD = 512
+"""Fewer are done before another thread has started."""
+
+
+@lru_cache
+def _library() -> ctypes.CDLL | OSError:
+    """The shared library, or why there is none."""
+    files = [Path(__file__).parent / f"_frontier{suffix}" for suffix in EXTENSION_SUFFIXES]
+    built = [file for file in files if file.is_file()]
+    if not built:
+        return OSError("it was not built: the package was installed without a C compiler")
+    try:
+        library = ctypes.CDLL(str(built[0]))
+    except OSError as error:
+        return error
+    function = library.marl_explore_frontier_tables
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    function.argtypes = [pointer, pointer, integer, integer, integer, ctypes.c_int, pointer]
+    function.restype = ctypes.c_int
+    return library
+
+
+def missing() -> str | None:
+    """Why the native kernel cannot be used; None where it can."""
+    library = _library()
+    return str(library) if isinstance(library, OSError) else None
+
+
+def backend() -> str:
+    """What computes frontier tables of CPU tensors, and why, in one line."""
+    reason = missing()
+    return f"torch: the native kernel is missing, {reason}" if reason else "native: C kernel"
+
+
+@torch.library.custom_op("marl_explore::frontier_table", mutates_args=())
+def _frontier_table(grid: Tensor, position: Tensor, mode: int) -> Tensor:
+    height, width = grid.shape[-2:]
+    table = torch.empty(*grid.shape[:-2], NUM_DIRECTIONS, 3)
+    grid, position = grid.contiguous(), position.contiguous()
+    robots = position.shape[:-1].numel()
+    function = _library().marl_explore_frontier_tables  # type: ignore[union-attr]
+
+    def run(first: int, last: int) -> int:
+        return function(  # ctypes lets other threads run meanwhile
+            grid.data_ptr() + first * height * width,
+            position.data_ptr() + first * 2 * position.element_size(),
+            last - first,
+            height,
+            width,
+            mode,
+            table.data_ptr() + first * NUM_DIRECTIONS * 3 * table.element_size(),
+        )
+
+    threads = max(1, min(torch.get_num_threads(), robots // ROBOTS_PER_THREAD))
+    bounds = [robots * i // threads for i in range(threads + 1)]
+    if threads == 1:
+        failed = run(0, robots)
+    else:
+        failed = any(_pool(threads).map(run, bounds[:-1], bounds[1:]))
+    if failed:
+        raise MemoryError(f"no memory for frontier tables of {height} x {width} cells")
+    return table
+
+
+@lru_cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="frontier")
+
+
+@_frontier_table.register_fake
+def _(grid: Tensor, position: Tensor, mode: int) -> Tensor:
+    return grid.new_empty(*grid.shape[:-2], NUM_DIRECTIONS, 3, dtype=torch.float32)
+
+
+@_frontier_table.register_vmap
+def _(
+    info: object, in_dims: tuple[int | None, ...], grid: Tensor, position: Tensor, mode: int
+) -> tuple[Tensor, int]:
+    size = info.batch_size  # type: ignore[attr-defined]
+    batched = [
+        x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)
+        for x, dim in zip((grid, position), in_dims, strict=False)
+    ]
+    return _frontier_table(*batched, mode), 0
+
+
+def feature_table(
+    grid: Tensor, position: Tensor, normalize: Normalization | None = "relative"
+) -> Tensor:
+    """``core.frontier.feature_table`` in C: the same numbers to the last bit, on the CPU.
+
+    Args:
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2], inside the maps.
+        normalize: "relative", "proximity", "absolute" or None.
+
+    Returns:
+        float32 [*B, 8, 3].
+
+    Raises:
+        ValueError: for an unknown normalisation, or entries of another dtype, shape or device.
+    """
+    if normalize not in NORMALIZATIONS:
+        raise ValueError(f"normalize={normalize!r} is not one of {NORMALIZATIONS}")
+    if grid.dtype != torch.int8 or grid.device.type != "cpu":
+        raise ValueError(f"grid must be int8 on the CPU, got {grid.dtype} on {grid.device}")
+    if position.dtype != torch.int64 or position.shape != (*grid.shape[:-2], 2):
+        raise ValueError(
+            f"position must be int64 of shape {(*grid.shape[:-2], 2)}, got {position.dtype} of "
+            f"shape {tuple(position.shape)}"
+        )
+    return _frontier_table(grid, position, _MODES[normalize])

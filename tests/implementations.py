@@ -1,0 +1,22 @@
+"""Every implementation of the feature table, called as one: their numbers agree to the last bit."""
+
+from __future__ import annotations
+
+from marl_explore import native
+from marl_explore.core import frontier
+
+NAMED = {
+    "torch, fixed number of levels": lambda maps, positions, normalize: frontier.feature_table(
+        maps, positions, normalize, levels=maps.shape[-2:].numel()
+    ),
+    "native": native.feature_table,
+}
+
+
+def feature_table(maps, positions, normalize="relative", levels=None):
+    """``core.frontier.feature_table``, once all others have been held against it."""
+    table = frontier.feature_table(maps, positions, normalize, levels)
+    if levels is None:
+        for name, implementation in NAMED.items():
+            assert implementation(maps, positions, normalize).equal(table), name
+    return table
