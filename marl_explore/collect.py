@@ -24,10 +24,12 @@ def make_collector(
         frames_per_batch: arenas times steps of one batch.
         total_frames: arenas times steps in all.
     """
+    env = create_env()
     return Collector(
-        create_env(),
+        env,
         policy,
         frames_per_batch=frames_per_batch,
         total_frames=total_frames,
+        device=env.device,
         auto_register_policy_transforms=False,
     )

@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from marl_explore import arenas as suites
 from marl_explore.config import ArenaConfig, require_coverage, require_integer
-from marl_explore.core import mapping, motion, radio, rewards, world
+from marl_explore.core import mapping, rewards, world
 from marl_explore.core.hashing import combine, text_key
 from marl_explore.core.world import WorldState
 from marl_explore.specs import exploration_specs
@@ -131,8 +131,8 @@ class ExplorationEnv(EnvBase):
             fresh = self._draw(rows)
             self._replace_rows(rows, fresh, _at_rest(fresh, first=True))
         self._restored = False  # else: the state that was loaded is the one to go on from
-        output = self._observe()
-        return output.update(self.full_done_spec.zero())
+        never = torch.zeros_like(self._now[0].step_count, dtype=torch.bool)
+        return self._observe(done=never, terminated=never.clone(), truncated=never.clone())
 
     def _rows(self, flagged: Tensor | None) -> Tensor:
         """Indices of the arenas to reset, int64 [A]."""
@@ -158,7 +158,7 @@ class ExplorationEnv(EnvBase):
         if any(value is None for value in entries.values()):
             return world.start(self.config, entries["obstacles"], entries["position"])
         entries["grid"] = entries.pop("map")
-        return world.resume(**{name: value.clone() for name, value in entries.items()})
+        return world.resume(self.config, **{name: value.clone() for name, value in entries.items()})
 
     def _check_entries(self, entries: dict[str, Tensor | None]) -> None:
         """Given entries must have their spec's dtype and shape."""
@@ -195,14 +195,14 @@ class ExplorationEnv(EnvBase):
             individual_reward=reward.unsqueeze(-1),
         )
         self._state = state, last
-        output = self._observe()
         terminated = self._covered(state, record).unsqueeze(-1)
         truncated = state.step_count >= self.max_steps
-        output.set("reward", reward.mean(-1, keepdim=True))
-        output.set("terminated", terminated)
-        output.set("truncated", truncated)
-        output.set("done", terminated | truncated)
-        return output
+        return self._observe(
+            reward=reward.mean(-1, keepdim=True),
+            done=terminated | truncated,
+            terminated=terminated,
+            truncated=truncated,
+        )
 
     def _covered(self, state: WorldState, record: rewards.StepRecord) -> Tensor:
         """Arenas whose largest map covers the share that ends an episode, bool [B]."""
@@ -215,10 +215,9 @@ class ExplorationEnv(EnvBase):
         share = self.terminate_at_coverage * world.num_targets(state).double()
         return largest >= (share - 1e-9).ceil()
 
-    def _observe(self) -> TensorDict:
-        """All observation entries, in one nested TensorDict."""
+    def _observe(self, **root: Tensor) -> TensorDict:
+        """All observation entries and further ones of the root, in one nested TensorDict."""
         (state, last), config = self._now, self.config
-        reach = radio.in_range(state.position, config.communication_cells)
         fov = mapping.field_of_view(
             state.obstacles, state.position, config.fov_radius, config.occlusion
         )
@@ -229,7 +228,7 @@ class ExplorationEnv(EnvBase):
                 "position": state.position,
                 "unshared": state.unshared,
                 "steps_since_merge": state.steps_since_merge,
-                "action_mask": motion.action_mask(state.open_moves, reach),
+                "action_mask": state.action_mask,
                 "observation": TensorDict({"fov": fov}, batch_size=group, device=self.device),
                 **last._asdict(),
             },
@@ -237,7 +236,12 @@ class ExplorationEnv(EnvBase):
             device=self.device,
         )
         return TensorDict(
-            {"obstacles": state.obstacles, "step_count": state.step_count, "agents": agents},
+            {
+                "obstacles": state.obstacles,
+                "step_count": state.step_count,
+                "agents": agents,
+                **root,
+            },
             batch_size=self.batch_size,
             device=self.device,
         )
@@ -247,7 +251,7 @@ class ExplorationEnv(EnvBase):
         if tensordict is None:
             if self._state is None:
                 return super().rand_action(None)
-            mask = self._observe().get(("agents", "action_mask"))
+            mask = self._now[0].action_mask
             tensordict = TensorDict({}, batch_size=self.batch_size, device=self.device)
         else:
             mask = tensordict.get(("agents", "action_mask"))

@@ -12,13 +12,17 @@ from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import torch
-from tensordict import NestedKey
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import (
     InteractionType,
     ProbabilisticTensorDictSequential,
     TensorDictModule,
+    TensorDictModuleBase,
 )
 from torch import Tensor, nn
+from torch.distributions import Categorical
+from torchrl.envs import ExplorationType
+from torchrl.envs.utils import exploration_type
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
 from marl_explore.config import ArenaConfig
@@ -30,6 +34,9 @@ CriticInput = Literal["observation", "state"]
 OBSERVATION_KEYS: list[NestedKey] = [
     ("agents", "observation", key) for key in ("fov", "fpr", "net")
 ]
+ACTION_MASK: NestedKey = ("agents", "action_mask")
+ACTION: NestedKey = ("agents", "action")
+LOG_PROB: NestedKey = ("agents", "action_log_prob")
 STATE_KEYS: list[NestedKey] = ["obstacles", ("agents", "position"), ("agents", "map")]
 _EVENT_DIMS = (2, 2, 1)  # of fov, fpr and net
 _FPR_SIZE = NUM_DIRECTIONS * 3
@@ -226,20 +233,46 @@ def make_critic(
     return TensorDictModule(network, OBSERVATION_KEYS, ["state_value"])
 
 
+class TeamActor(TensorDictModuleBase):
+    """The policy of a collector: all robots' actors in one module, writing actions and log-probs.
+
+    It does what ``probabilistic_actor(StackedActors(actors))`` does in a fraction of the time
+    that a chain of modules takes. Actions are sampled, unless
+    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` asks for the likeliest.
+    """
+
+    in_keys: list[NestedKey] = [*OBSERVATION_KEYS, ACTION_MASK]  # noqa: RUF012
+    out_keys: list[NestedKey] = [ACTION, LOG_PROB]  # noqa: RUF012
+
+    def __init__(self, actors: Iterable[nn.Module]) -> None:
+        super().__init__()
+        self.stacked = StackedActors(actors)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
+        logits = self.stacked(*(tensordict.get(key) for key in OBSERVATION_KEYS))
+        logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
+        policy = Categorical(logits=logits, validate_args=False)
+        likeliest = exploration_type() is ExplorationType.DETERMINISTIC
+        action = policy.mode if likeliest else policy.sample()
+        tensordict.set(ACTION, action)
+        return tensordict.set(LOG_PROB, policy.log_prob(action))
+
+
 def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential:
     """A masked categorical policy in the entries of the group "agents".
 
     With one robot's network it acts on that robot's slice of the group (an actor of HAPPO), with
-    ``StackedActors`` on the whole group (the policy of a collector). Sampling is the default;
+    ``StackedActors`` on the whole group. Sampling is the default;
     ``set_exploration_type(ExplorationType.DETERMINISTIC)`` takes the likeliest action.
     """
     logits: NestedKey = ("agents", "logits")
     return ProbabilisticActor(
         TensorDictModule(network, OBSERVATION_KEYS, [logits]),
-        in_keys={"logits": logits, "mask": ("agents", "action_mask")},
-        out_keys=[("agents", "action")],
+        in_keys={"logits": logits, "mask": ACTION_MASK},
+        out_keys=[ACTION],
         distribution_class=MaskedCategorical,
         return_log_prob=True,
-        log_prob_key=("agents", "action_log_prob"),
+        log_prob_key=LOG_PROB,
         default_interaction_type=InteractionType.RANDOM,
     )

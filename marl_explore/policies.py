@@ -22,7 +22,7 @@ from torch import nn
 
 from marl_explore.config import ArenaConfig
 from marl_explore.core.frontier import Normalization
-from marl_explore.models import Architecture, StackedActors, make_actor, probabilistic_actor
+from marl_explore.models import Architecture, TeamActor, make_actor
 from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
 
 FORMAT = "marl_explore.policy/1"
@@ -70,19 +70,23 @@ class Policy(TensorDictModuleBase):
     def __init__(self, spec: PolicySpec, actors: Iterable[nn.Module]) -> None:
         super().__init__()
         self.spec = spec
-        self.actors = StackedActors(actors)
+        self.team = TeamActor(actors)
         self._features = nn.Sequential(
             FrontierReachability(normalize=spec.fpr),
             CommunicationNeighbors(range_cells=spec.arena.communication_cells),
         )
-        self._act = probabilistic_actor(self.actors)
+
+    @property
+    def actors(self) -> nn.ModuleList:
+        """The networks, one per robot."""
+        return self.team.stacked.actors
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
         observation = tensordict.select(*self.in_keys)
         self._check(observation)
-        acted = self._act(self._features(observation))
+        acted = self.team(self._features(observation))
         return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
 
     def _check(self, observation: TensorDictBase) -> None:

@@ -17,7 +17,7 @@ from marl_explore.config import TrainConfig
 from marl_explore.core.grid import COMMUNICATE, UNKNOWN
 from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
-from marl_explore.models import StackedActors, make_critic, probabilistic_actor
+from marl_explore.models import make_critic, probabilistic_actor
 from marl_explore.policies import Policy, PolicySpec
 
 VALUE_NORM_DECAY = 0.99
@@ -53,11 +53,10 @@ class Trainer:
         self.config = config
         spec = PolicySpec(config.arena, config.architecture, config.hidden, config.fpr)
         self.policy = Policy(spec, spec.make_actors())
-        networks = self.policy.actors
         critic = make_critic(config.arena, config.architecture, config.hidden, config.critic_reads)
         names = [f"robot_{i}" for i in range(config.arena.num_agents)]
         self.loss = HAPPOLoss(
-            {n: probabilistic_actor(a) for n, a in zip(names, networks.actors, strict=True)},
+            {n: probabilistic_actor(a) for n, a in zip(names, self.policy.actors, strict=True)},
             critic,
             views={name: ("agents", i) for i, name in enumerate(names)},
             clip_epsilon=config.clip_epsilon,
@@ -80,7 +79,7 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(config.seed)
         self.collector = make_collector(
             partial(make_training_env, config),
-            probabilistic_actor(StackedActors(networks.actors)),
+            self.policy.team,
             frames_per_batch=config.batch_frames,
             total_frames=config.updates * config.batch_frames,
         )

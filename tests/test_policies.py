@@ -41,7 +41,7 @@ def test_a_policy_computes_the_features_it_was_trained_on():
         ("agents", "observation", "fpr"), ("agents", "observation", "net")
     )
     with set_exploration_type(ExplorationType.DETERMINISTIC):
-        expected = probabilistic_actor(policy.actors)(trained_on.clone())["agents", "action"]
+        expected = probabilistic_actor(policy.team.stacked)(trained_on.clone())["agents", "action"]
         assert torch.equal(policy(elsewhere)["agents", "action"], expected)
 
 

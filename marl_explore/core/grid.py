@@ -35,6 +35,13 @@ def _ring(device: torch.device) -> Tensor:
     return torch.tensor([3 * (1 + r) + 1 + c for r, c in COMPASS], device=device)
 
 
+@lru_cache
+def _square(side: int, stride: int, device: torch.device) -> Tensor:
+    """Steps from a square's first cell to all its cells in a flattened grid, int64 [side, side]."""
+    steps = torch.arange(side, device=device)
+    return stride * steps.unsqueeze(-1) + steps
+
+
 def square_around(grid: Tensor, position: Tensor, radius: int, outside: bool | int) -> Tensor:
     """Square cut out of a grid around each robot.
 
@@ -48,12 +55,17 @@ def square_around(grid: Tensor, position: Tensor, radius: int, outside: bool | i
         [*B, N, 2 radius + 1, 2 radius + 1], row 0 north.
     """
     padded = torch.nn.functional.pad(grid, (radius,) * 4, value=outside)
-    side, stride = 2 * radius + 1, padded.shape[-1]
-    steps = torch.arange(side, device=grid.device)
+    stride = padded.shape[-1]
     corner = position[..., 0] * stride + position[..., 1]
-    index = corner[..., None, None] + stride * steps.unsqueeze(-1) + steps
+    index = corner[..., None, None] + _square(2 * radius + 1, stride, grid.device)
     values = padded.flatten(-2).gather(-1, index.flatten(-3))
     return values.view(index.shape)
+
+
+@lru_cache
+def other_robots(robots: int, device: torch.device) -> Tensor:
+    """1 for every pair of different robots, 0 for a robot and itself, int64 [N, N]."""
+    return 1 - torch.eye(robots, dtype=torch.int64, device=device)
 
 
 def neighbors(grid: Tensor, position: Tensor, outside: bool | int) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 
@@ -46,7 +48,7 @@ def sense(
         int8 [*B, N, H, W], a new tensor.
     """
     height, width = obstacles.shape[-2:]
-    reach = torch.arange(-radius, radius + 1, device=position.device)
+    reach = _reach(radius, position.device)
     # a cell off the grid is drawn in to the nearest one on it, which is in view as well
     row = (position[..., 0:1] + reach).clamp(0, height - 1)
     column = (position[..., 1:2] + reach).clamp(0, width - 1)
@@ -57,6 +59,12 @@ def sense(
         hidden = _hidden(obstacles, position).flatten(-2)
         seen = torch.where(hidden, known.gather(-1, cell), seen)
     return known.scatter(-1, cell, seen).view(grid.shape)
+
+
+@lru_cache
+def _reach(radius: int, device: torch.device) -> Tensor:
+    """Steps to the rows or columns in view, int64 [2 radius + 1]."""
+    return torch.arange(-radius, radius + 1, device=device)
 
 
 def _hidden(obstacles: Tensor, position: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import COMMUNICATE, STAY
+from marl_explore.core.grid import COMMUNICATE, STAY, other_robots
 
 
 class StepRecord(NamedTuple):
@@ -75,9 +75,7 @@ def _case2(step: StepRecord, idle: Tensor) -> Tensor:
 
 def _share_bonus(step: StepRecord) -> Tensor:
     """p_i = 0.8 + mean over the other members j of q_ij / (H W), float [*B, N]."""
-    robots = step.network.shape[-1]
-    itself = torch.eye(robots, dtype=torch.bool, device=step.network.device)
-    partners = step.network & ~itself
+    partners = step.network & other_robots(step.network.shape[-1], step.network.device).bool()
     shared = (step.unshared * partners).sum(-1)
     return 0.8 + shared / (step.num_cells * partners.sum(-1).clamp_min(1))
 

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from marl_explore.config import ArenaConfig
-from marl_explore.core.grid import COMMUNICATE, UNKNOWN
+from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN, other_robots
 from marl_explore.core.mapping import known_cells, known_targets, merge, sense, target_cells
-from marl_explore.core.motion import dangerous_moves, move, open_moves
+from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
 from marl_explore.core.radio import in_range, networks
 from marl_explore.core.rewards import StepRecord
 
@@ -35,8 +35,8 @@ class WorldState(NamedTuple):
     """Steps since i and j were in one network, int64 [*B, N, N]; NEVER before; 0 for j = i."""
     step_count: Tensor
     """Steps of the episode so far, int64 [*B, 1]."""
-    open_moves: Tensor
-    """Moves without a visible danger, bool [*B, N, 8]; follows from obstacles and positions."""
+    action_mask: Tensor
+    """Allowed actions, bool [*B, N, 10]; follows from obstacles and positions."""
     known: Tensor
     """Number of known cells of each map, int64 [*B, N]; follows from the maps."""
 
@@ -55,8 +55,9 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
         (*batch, robots, height, width), UNKNOWN, dtype=torch.int8, device=obstacles.device
     )
     grid = sense(unknown, obstacles, position, config.fov_radius, config.occlusion)
-    others = _others(robots, position.device)
+    others = other_robots(robots, position.device)
     return resume(
+        config,
         obstacles,
         position,
         grid,
@@ -67,6 +68,7 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
 
 
 def resume(
+    config: ArenaConfig,
     obstacles: Tensor,
     position: Tensor,
     grid: Tensor,
@@ -83,7 +85,9 @@ def resume(
         unshared=unshared,
         steps_since_merge=steps_since_merge,
         step_count=step_count,
-        open_moves=open_moves(obstacles, position),
+        action_mask=action_mask(
+            open_moves(obstacles, position), in_range(position, config.communication_cells)
+        ),
         known=known_cells(grid),
     )
 
@@ -101,15 +105,17 @@ def advance(
     Returns:
         The state after the step, and the record of what happened.
     """
-    dangerous = dangerous_moves(state.open_moves, state.position, action)
+    visible = state.action_mask[..., :NUM_DIRECTIONS]
+    dangerous = dangerous_moves(visible, state.position, action)
     position = move(state.position, action, dangerous)
     sensed = sense(state.map, state.obstacles, position, config.fov_radius, config.occlusion)
-    network = networks(in_range(position, config.communication_cells), action == COMMUNICATE)
+    reach = in_range(position, config.communication_cells)
+    network = networks(reach, action == COMMUNICATE)
     merged = merge(sensed, network)
 
     known_sensed, known = known_cells(sensed), known_cells(merged)
     discovered = known_sensed - state.known
-    others = _others(action.shape[-1], action.device)
+    others = other_robots(action.shape[-1], action.device)
     unshared = state.unshared + discovered.unsqueeze(-1) * others
     waited = (state.steps_since_merge + others).clamp_max(NEVER)
     after = state._replace(
@@ -118,7 +124,7 @@ def advance(
         unshared=unshared.masked_fill(network, 0),
         steps_since_merge=waited.masked_fill(network, 0),
         step_count=state.step_count + 1,
-        open_moves=open_moves(state.obstacles, position),
+        action_mask=action_mask(open_moves(state.obstacles, position), reach),
         known=known,
     )
     record = StepRecord(
@@ -165,8 +171,3 @@ def _refuse(wrong: Tensor, position: Tensor, reason: str) -> None:
 def num_targets(state: WorldState) -> Tensor:
     """Number of cells to be mapped, int64 [*B]."""
     return state.target.flatten(-2).sum(-1)
-
-
-def _others(robots: int, device: torch.device) -> Tensor:
-    """1 for every pair of different robots, int64 [N, N]."""
-    return 1 - torch.eye(robots, dtype=torch.int64, device=device)
