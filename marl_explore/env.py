@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
@@ -17,7 +17,7 @@ from marl_explore.core.hashing import combine, text_key
 from marl_explore.core.world import WorldState
 from marl_explore.specs import exploration_specs
 
-_WORLD_KEYS = {
+_WORLD_KEYS: dict[NestedKey, str] = {
     "obstacles": "obstacles",
     ("agents", "map"): "map",
     ("agents", "position"): "position",
@@ -25,7 +25,7 @@ _WORLD_KEYS = {
     ("agents", "steps_since_merge"): "steps_since_merge",
     "step_count": "step_count",
 }
-_START_KEYS = ("obstacles", ("agents", "position"))
+_START_KEYS: tuple[NestedKey, NestedKey] = ("obstacles", ("agents", "position"))
 
 
 class LastStep(NamedTuple):
@@ -39,7 +39,7 @@ class LastStep(NamedTuple):
 
 
 class ExplorationEnv(EnvBase):
-    """Robots that map unknown arenas together; SPEC describes the rules, DESIGN the entries.
+    """Robots that map unknown arenas together; docs/environment.md describes rules and entries.
 
     Args:
         config: the arena, its robots and their sensors.
@@ -78,6 +78,9 @@ class ExplorationEnv(EnvBase):
         require_integer("num_envs", num_envs, 1)
         require_integer("max_steps", max_steps, 1)
         require_integer("first_arena", first_arena, 0)
+        require_integer("seed", seed, 0)
+        if not isinstance(stream, str):
+            raise ValueError(f"stream={stream!r} is not allowed: it must be a name")
         require_coverage("terminate_at_coverage", terminate_at_coverage)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
@@ -113,6 +116,7 @@ class ExplorationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Start the numbering of episodes again under another seed."""
         if seed is not None:
+            self._restored = False
             self._seed = seed
             self._episode = torch.full_like(self._episode, -1)
 
@@ -120,11 +124,9 @@ class ExplorationEnv(EnvBase):
         self, tensordict: TensorDictBase | None = None, set_state: bool = False, **_: Any
     ) -> TensorDictBase:
         flagged = None if tensordict is None else tensordict.get("_reset", None)
-        if set_state and tensordict is not None:
-            given = self._given_state(tensordict)
+        if set_state:
+            given, last = self._given_state(tensordict)
             rows = self._rows(flagged)
-            underway = tensordict.get(("agents", "map"), None) is not None
-            last = _at_rest(given, first=not underway)
             self._replace_rows(rows, *(_take(part, rows) for part in (given, last)))
         elif not self._restored or flagged is not None:
             rows = self._rows(flagged)
@@ -147,24 +149,38 @@ class ExplorationEnv(EnvBase):
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
         return world.start(self.config, obstacles, position)
 
-    def _given_state(self, tensordict: TensorDictBase) -> WorldState:
+    def _given_state(self, tensordict: TensorDictBase | None) -> tuple[WorldState, LastStep]:
         """The state in a TensorDict: given starts, or all of an episode under way."""
-        entries = {name: tensordict.get(key, None) for key, name in _WORLD_KEYS.items()}
-        missing = [key for key in _START_KEYS if entries[_WORLD_KEYS[key]] is None]
-        if missing:
-            raise ValueError(f"reset(set_state=True) needs {_START_KEYS}; missing: {missing}")
+        entries = {} if tensordict is None else self._state_entries(tensordict)
+        missing = [key for key in _WORLD_KEYS if key not in entries]
+        if any(key in missing for key in _START_KEYS) or (
+            missing and len(entries) > len(_START_KEYS)
+        ):
+            raise ValueError(
+                f"reset(set_state=True) needs {_START_KEYS} to start an episode, or all of "
+                f"{tuple(_WORLD_KEYS)} to go on with one; missing: {missing}"
+            )
         self._check_entries(entries)
-        world.check_starts(entries["obstacles"], entries["position"])
-        if any(value is None for value in entries.values()):
-            return world.start(self.config, entries["obstacles"], entries["position"])
-        entries["grid"] = entries.pop("map")
-        return world.resume(self.config, **{name: value.clone() for name, value in entries.items()})
+        obstacles, position = (entries[key] for key in _START_KEYS)
+        world.check_starts(obstacles, position)
+        if missing:
+            state = world.start(self.config, obstacles, position)
+            return state, _at_rest(state, first=True)
+        world.check_maps(obstacles, position, entries["agents", "map"])
+        given = {name: entries[key].clone() for key, name in _WORLD_KEYS.items()}
+        state = world.resume(self.config, given.pop("obstacles"), given.pop("position"), **given)
+        return state, _at_rest(state, first=False)
 
-    def _check_entries(self, entries: dict[str, Tensor | None]) -> None:
+    @staticmethod
+    def _state_entries(tensordict: TensorDictBase) -> dict[NestedKey, Tensor]:
+        found = {key: tensordict.get(key, None) for key in _WORLD_KEYS}
+        return {key: value for key, value in found.items() if value is not None}
+
+    def _check_entries(self, entries: Mapping[NestedKey, Tensor]) -> None:
         """Given entries must have their spec's dtype and shape."""
-        for key, name in _WORLD_KEYS.items():
-            spec, value = self.full_state_spec[key], entries[name]
-            if value is not None and (value.dtype != spec.dtype or value.shape != spec.shape):
+        for key, value in entries.items():
+            spec = self.full_state_spec[key]
+            if value.dtype != spec.dtype or value.shape != spec.shape:
                 raise ValueError(
                     f"reset(set_state=True): {key!r} must be {spec.dtype} of shape "
                     f"{tuple(spec.shape)}, got {value.dtype} of shape {tuple(value.shape)}"
@@ -185,8 +201,9 @@ class ExplorationEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get(("agents", "action"))
+        self._restored = False
         state, record = world.advance(self.config, self._now[0], action)
-        reward = self._reward(record)
+        reward = rewards.checked(self._reward(record), record)
         last = LastStep(
             dangerous=record.dangerous,
             merged=record.merged,
@@ -290,7 +307,7 @@ class ExplorationEnv(EnvBase):
         self._seed = state_dict["seed"]
         self._episode = state_dict["episode"].to(self.device)
         if "map" in state_dict:
-            self._check_entries({name: state_dict[name] for name in _WORLD_KEYS.values()})
+            self._check_entries({key: state_dict[name] for key, name in _WORLD_KEYS.items()})
             self._state = (
                 WorldState(*(state_dict[name].to(self.device) for name in WorldState._fields)),
                 LastStep(*(state_dict[name].to(self.device) for name in LastStep._fields)),

@@ -9,8 +9,9 @@ NAMED = {
     "torch, fixed number of levels": lambda maps, positions, normalize: frontier.feature_table(
         maps, positions, normalize, levels=maps.shape[-2:].numel()
     ),
-    "native": native.feature_table,
 }
+if native.missing() is None:
+    NAMED["native"] = native.feature_table
 
 
 def feature_table(maps, positions, normalize="relative", levels=None):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from marl_explore.arenas import list_suites, resolve
-from marl_explore.arenas.uniform import uniform
+from marl_explore.arenas.uniform import Uniform
 from marl_explore.config import ArenaConfig
 from tests import reference
 
@@ -57,7 +57,7 @@ def drawn_slowly(config, seed, arena, episode):
 def test_arenas_are_those_of_the_slow_generator(config):
     arenas = torch.arange(40) + 7
     episodes = torch.arange(40) % 3
-    obstacles, positions = uniform(config)(-5, arenas, episodes)
+    obstacles, positions = Uniform(config)(-5, arenas, episodes)
     for row, (arena, episode) in enumerate(zip(arenas.tolist(), episodes.tolist(), strict=True)):
         expected_obstacles, expected_positions = drawn_slowly(config, -5, arena, episode)
         assert obstacles[row].tolist() == expected_obstacles
@@ -66,7 +66,7 @@ def test_arenas_are_those_of_the_slow_generator(config):
 
 def test_arenas_have_the_density_and_are_connected_with_robots_on_distinct_free_cells():
     config = ArenaConfig(height=10, width=15, obstacle_density=0.3, num_agents=5)
-    obstacles, positions = uniform(config)(3, torch.arange(64), torch.zeros(64, dtype=torch.int64))
+    obstacles, positions = Uniform(config)(3, torch.arange(64), torch.zeros(64, dtype=torch.int64))
     assert (obstacles.sum((1, 2)) == config.num_obstacles).all()
     for arena, starts in zip(obstacles.tolist(), positions.tolist(), strict=True):
         assert reference.connected(arena)
@@ -75,7 +75,7 @@ def test_arenas_have_the_density_and_are_connected_with_robots_on_distinct_free_
 
 
 def test_one_arena_does_not_depend_on_the_others_drawn_with_it():
-    generate = uniform(ArenaConfig(obstacle_density=0.3))
+    generate = Uniform(ArenaConfig(obstacle_density=0.3))
     together = generate(1, torch.arange(100), torch.full((100,), 4))
     alone = generate(1, torch.tensor([57]), torch.tensor([4]))
     assert torch.equal(together[0][57], alone[0][0])
@@ -83,7 +83,7 @@ def test_one_arena_does_not_depend_on_the_others_drawn_with_it():
 
 
 def test_obstacles_are_spread_evenly():
-    generate = uniform(ArenaConfig(num_agents=1))
+    generate = Uniform(ArenaConfig(num_agents=1))
     obstacles, positions = generate(0, torch.arange(4000), torch.zeros(4000, dtype=torch.int64))
     share = obstacles.float().mean(0)
     assert share.mean() == pytest.approx(14 / 144)
@@ -95,7 +95,7 @@ def test_obstacles_are_spread_evenly():
 def test_a_density_without_connected_arenas_is_named():
     config = ArenaConfig(obstacle_density=0.9)
     with pytest.raises(ValueError, match=r"obstacle_density=0.9 .* 1000 attempts"):
-        uniform(config)(0, torch.arange(2), torch.zeros(2, dtype=torch.int64))
+        Uniform(config)(0, torch.arange(2), torch.zeros(2, dtype=torch.int64))
 
 
 def test_unknown_suites_are_refused_with_the_known_ones():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 
@@ -30,11 +31,16 @@ def open_maps(*batch, height, width, seed=0):
     return maps, random_maps(*batch, height=height, width=width, seed=seed)[1]
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="the kernel is built where there is a cc")
 def test_the_kernel_is_built_and_in_use():
     assert native.missing() is None
     assert marl_explore.backend() == "native: C kernel"
 
 
+needs_kernel = pytest.mark.skipif(native.missing() is not None, reason=str(native.missing()))
+
+
+@needs_kernel
 @pytest.mark.parametrize("size", [(31, 33), (32, 32), (33, 32), (64, 40), (1, 2000), (128, 128)])
 def test_large_grids_agree_with_torch(size):
     """On both sides of the size from which the kernel searches with a queue."""
@@ -44,6 +50,7 @@ def test_large_grids_agree_with_torch(size):
     assert native.feature_table(maps, positions).equal(expected)
 
 
+@needs_kernel
 def test_paths_longer_than_a_byte_counts_agree_with_torch():
     rows = []
     for row in range(31):
@@ -58,6 +65,7 @@ def test_paths_longer_than_a_byte_counts_agree_with_torch():
     assert table.equal(frontier.feature_table(maps, positions, None))
 
 
+@needs_kernel
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_share_the_robots(threads):
     maps, positions = random_maps(native.ROBOTS_PER_THREAD * 3 + 1)
@@ -70,17 +78,20 @@ def test_threads_share_the_robots(threads):
     assert table.equal(frontier.feature_table(maps, positions))
 
 
+@needs_kernel
 def test_inputs_need_not_be_contiguous():
     maps, positions = random_maps(6, 4)
     table = native.feature_table(maps.transpose(0, 1), positions.transpose(0, 1))
     assert table.equal(native.feature_table(maps, positions).transpose(0, 1))
 
 
+@needs_kernel
 def test_the_operator_fits_torch():
     maps, positions = random_maps(5)
     torch.library.opcheck(torch.ops.marl_explore.frontier_table, (maps, positions, 1))
 
 
+@needs_kernel
 def test_vmap_over_any_dimension():
     maps, positions = random_maps(6, 4)
     expected = native.feature_table(maps, positions)
@@ -149,6 +160,35 @@ def test_a_broken_library_is_no_reason_to_fail(tmp_path):
     assert done.stdout.startswith("torch: the native kernel is missing"), done.stderr
 
 
+@needs_kernel
+def test_positions_outside_the_map_are_refused():
+    maps, positions = random_maps(4)
+    for cell in ((-1, 0), (0, 13), (9, 0), (10**9, -(10**9))):
+        positions[2] = torch.tensor(cell)
+        with pytest.raises(ValueError, match="outside its map of 9 x 13 cells"):
+            native.feature_table(maps, positions)
+
+
+@needs_kernel
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_has_threads_of_its_own():
+    code = """
+import os, torch
+from marl_explore import native
+torch.set_num_threads(2)
+maps = torch.zeros(4096, 5, 5, dtype=torch.int8)
+positions = torch.zeros(4096, 2, dtype=torch.int64)
+native.feature_table(maps, positions)
+child = os.fork()
+native.feature_table(maps, positions)
+if child:
+    os._exit(os.waitpid(child, 0)[1])
+os._exit(0)
+"""
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+@needs_kernel
 @pytest.mark.parametrize("backend", ["auto", "torch", "native"])
 def test_every_backend_of_the_transform_gives_the_same(backend):
     maps, positions = random_maps(20)

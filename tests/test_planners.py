@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core.grid import COMMUNICATE, STAY
 from marl_explore.evaluation import evaluate, find_policy
-from marl_explore.planners import PLANNERS, NearestFrontier, never, pair_timer
+from marl_explore.planners import PLANNERS, NearestFrontier, PairTimer, never
 from tests import reference
 from tests.boards import arena
 
@@ -77,7 +77,7 @@ def test_a_robot_that_is_shut_in_stays():
 
 def test_the_pair_timer_talks_to_strangers_and_then_waits():
     env, td = on_board("0.1.....", 1, 8, communication_range=1.0)
-    rule = pair_timer(3, env.config.communication_cells)
+    rule = PairTimer(3, env.config.communication_cells)
     assert rule(td).all()
     said = []
     for _ in range(8):
@@ -90,7 +90,7 @@ def test_the_pair_timer_talks_to_strangers_and_then_waits():
 
 def test_the_pair_timer_does_not_talk_out_of_range():
     env, td = on_board("0...1", 1, 5, communication_range=1.0)
-    assert not pair_timer(3, env.config.communication_cells)(td).any()
+    assert not PairTimer(3, env.config.communication_cells)(td).any()
 
 
 def test_planners_explore_as_well_as_they_should():

@@ -8,15 +8,47 @@ episode numbers, bool [A, H, W] obstacles and int64 [A, N, 2] start cells.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
-from marl_explore.arenas.uniform import uniform
+from marl_explore.arenas.uniform import Uniform
 from marl_explore.config import ArenaConfig
+from marl_explore.core.world import check_starts
 
 Generator = Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]
 
-SUITES: dict[str, Callable[[ArenaConfig], Generator]] = {"uniform": uniform}
+SUITES: dict[str, Callable[[ArenaConfig], Generator]] = {"uniform": Uniform}
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A user's generator, refused when what it draws is no arena of the configuration."""
+
+    generate: Generator
+    config: ArenaConfig
+
+    def __call__(self, seed: int, arenas: Tensor, episodes: Tensor) -> tuple[Tensor, Tensor]:
+        """What ``generate`` draws.
+
+        Raises:
+            ValueError: for another dtype or shape, or start cells that cannot be.
+        """
+        obstacles, positions = self.generate(seed, arenas, episodes)
+        config, count = self.config, len(arenas)
+        expected = {
+            "obstacles": (obstacles, torch.bool, (count, config.height, config.width)),
+            "positions": (positions, torch.int64, (count, config.num_agents, 2)),
+        }
+        for name, (drawn, dtype, shape) in expected.items():
+            if drawn.dtype != dtype or drawn.shape != shape:
+                raise ValueError(
+                    f"arenas must return {name} {dtype} of shape {shape}, got {drawn.dtype} of "
+                    f"shape {tuple(drawn.shape)}"
+                )
+        check_starts(obstacles, positions)
+        return obstacles, positions
 
 
 def list_suites() -> list[str]:
@@ -31,7 +63,7 @@ def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
         ValueError: naming the known suites, for an unknown name.
     """
     if callable(arenas):
-        return arenas
+        return Checked(arenas, config)
     if arenas not in SUITES:
         raise ValueError(f"arenas={arenas!r} is unknown: use a callable or one of {list_suites()}")
     return SUITES[arenas](config)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -15,26 +15,29 @@ MAX_ATTEMPTS = 1000
 _OBSTACLES, _STARTS = 0, 1  # the two streams of random numbers of one arena
 
 
-def uniform(config: ArenaConfig) -> Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]:
-    """The generator of the paper's arenas for these settings (SPEC, Arena)."""
+@dataclass(frozen=True)
+class Uniform:
+    """The generator of the paper's arenas (docs/environment.md, Arenas)."""
 
-    def generate(seed: int, arenas: Tensor, episodes: Tensor) -> tuple[Tensor, Tensor]:
+    config: ArenaConfig
+
+    def __call__(self, seed: int, arenas: Tensor, episodes: Tensor) -> tuple[Tensor, Tensor]:
+        """Obstacles bool [A, H, W] and starts int64 [A, N, 2] of arenas and episodes [A]."""
         keys = combine(seed, arenas, episodes)
-        obstacles = _connected_obstacles(config, keys)
-        return obstacles, _starts(config, keys, obstacles)
-
-    return generate
+        obstacles = _connected_obstacles(self.config, keys)
+        return obstacles, _starts(self.config, keys, obstacles)
 
 
 def _connected_obstacles(config: ArenaConfig, keys: Tensor) -> Tensor:
     """Obstacles bool [A, H, W]: drawn again with the next attempt until they are connected."""
-    obstacles = _obstacles(config, keys, attempt=0)
-    rejected = (~connected(obstacles)).nonzero().squeeze(-1)
-    for attempt in range(1, MAX_ATTEMPTS):
-        if not len(rejected):
-            return obstacles
+    size = (len(keys), config.height, config.width)
+    obstacles = torch.zeros(size, dtype=torch.bool, device=keys.device)
+    rejected = torch.arange(len(keys), device=keys.device)
+    for attempt in range(MAX_ATTEMPTS):
         obstacles[rejected] = _obstacles(config, keys[rejected], attempt)
         rejected = rejected[~connected(obstacles[rejected])]
+        if not len(rejected):
+            return obstacles
     raise ValueError(
         f"obstacle_density={config.obstacle_density} gave no connected arena of "
         f"{config.height} x {config.width} cells in {MAX_ATTEMPTS} attempts: use a lower density"

@@ -94,8 +94,10 @@ def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Traject
     labels &= to_bytes(frontier_mask(grid))
     distance = distance.mul_(labels != 0).flatten()
     # only the few frontiers are worth looking at; how many they are takes a host synchronisation
-    cell = distance.nonzero().squeeze(-1) if levels is None else torch.arange(len(distance))
-    cell = cell.to(grid.device)
+    if levels is None:
+        cell = distance.nonzero().squeeze(-1)
+    else:
+        cell = torch.arange(len(distance), device=grid.device)
     direction = _lowest_bit(grid.device)[labels.flatten()[cell].int()]
     return Trajectories(cell % grid.shape[0], direction, distance[cell].double())
 

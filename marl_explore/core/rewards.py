@@ -97,6 +97,21 @@ REWARDS: dict[str, Reward] = {
 }
 
 
+def checked(reward: Tensor, step: StepRecord) -> Tensor:
+    """A reward that has the type and shape of one, float [*B, N].
+
+    Raises:
+        ValueError: naming what it has instead.
+    """
+    shape = step.action.shape
+    if not reward.is_floating_point() or reward.shape != shape:
+        raise ValueError(
+            f"reward must return a float tensor of shape {tuple(shape)}, one number per robot, "
+            f"got {reward.dtype} of shape {tuple(reward.shape)}"
+        )
+    return reward.float()
+
+
 def resolve(reward: str | Reward) -> Reward:
     """The reward of a name, or the callable itself.
 

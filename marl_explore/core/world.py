@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from marl_explore.config import ArenaConfig
-from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN, other_robots
+from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN, other_robots, with_robots
 from marl_explore.core.mapping import known_cells, known_targets, merge, sense, target_cells
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
 from marl_explore.core.radio import in_range, networks
@@ -71,7 +71,7 @@ def resume(
     config: ArenaConfig,
     obstacles: Tensor,
     position: Tensor,
-    grid: Tensor,
+    map: Tensor,
     unshared: Tensor,
     steps_since_merge: Tensor,
     step_count: Tensor,
@@ -80,7 +80,7 @@ def resume(
     return WorldState(
         obstacles=obstacles,
         target=target_cells(obstacles, position),
-        map=grid,
+        map=map,
         position=position,
         unshared=unshared,
         steps_since_merge=steps_since_merge,
@@ -88,7 +88,7 @@ def resume(
         action_mask=action_mask(
             open_moves(obstacles, position), in_range(position, config.communication_cells)
         ),
-        known=known_cells(grid),
+        known=known_cells(map),
     )
 
 
@@ -166,6 +166,29 @@ def _refuse(wrong: Tensor, position: Tensor, reason: str) -> None:
         arena, robot = wrong.nonzero()[0].tolist()
         cell = tuple(position[arena, robot].tolist())
         raise ValueError(f"start of robot {robot} in arena {arena}: cell {cell} {reason}")
+
+
+def check_maps(obstacles: Tensor, position: Tensor, grid: Tensor) -> None:
+    """Refuse maps of an episode under way that its arena cannot have given.
+
+    Args:
+        obstacles: bool [B, H, W].
+        position: int64 [B, N, 2].
+        grid: int8 [B, N, H, W].
+
+    Raises:
+        ValueError: naming robot, arena and cell.
+    """
+    wrong = (grid != UNKNOWN) & (grid != obstacles.unsqueeze(-3))
+    own = with_robots(torch.zeros_like(grid, dtype=torch.bool), position.unsqueeze(-2))
+    blind = own & (grid == UNKNOWN)
+    for cells, reason in ((wrong, "contradicts the obstacles"), (blind, "holds it, unknown")):
+        if cells.any():
+            arena, robot, row, column = cells.nonzero()[0].tolist()
+            raise ValueError(
+                f"map of robot {robot} in arena {arena}: cell {(row, column)} {reason}; to start "
+                "a new episode give only the obstacles and positions"
+            )
 
 
 def num_targets(state: WorldState) -> Tensor:

@@ -7,6 +7,7 @@ without it everything works on torch. ``marl_explore.backend()`` tells which is 
 from __future__ import annotations
 
 import ctypes
+import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -18,6 +19,7 @@ from torch import Tensor
 from marl_explore.core.frontier import NORMALIZATIONS, Normalization
 from marl_explore.core.grid import NUM_DIRECTIONS
 
+_NO_MEMORY, _OUTSIDE = 1, 2  # what the C function returns beside 0
 _MODES = {None: 0, "relative": 1, "proximity": 2, "absolute": 3}
 ROBOTS_PER_THREAD = 512
 """Fewer are done before another thread has started."""
@@ -59,7 +61,10 @@ def _frontier_table(grid: Tensor, position: Tensor, mode: int) -> Tensor:
     table = torch.empty(*grid.shape[:-2], NUM_DIRECTIONS, 3)
     grid, position = grid.contiguous(), position.contiguous()
     robots = position.shape[:-1].numel()
-    function = _library().marl_explore_frontier_tables  # type: ignore[union-attr]
+    library = _library()
+    if isinstance(library, OSError):
+        raise RuntimeError(f"the native kernel cannot be used: {library}")
+    function = library.marl_explore_frontier_tables
 
     def run(first: int, last: int) -> int:
         return function(  # ctypes lets other threads run meanwhile
@@ -74,18 +79,22 @@ def _frontier_table(grid: Tensor, position: Tensor, mode: int) -> Tensor:
 
     threads = max(1, min(torch.get_num_threads(), robots // ROBOTS_PER_THREAD))
     bounds = [robots * i // threads for i in range(threads + 1)]
-    if threads == 1:
-        failed = run(0, robots)
-    else:
-        failed = any(_pool(threads).map(run, bounds[:-1], bounds[1:]))
-    if failed:
+    run_all = map if threads == 1 else _pool(threads).map
+    failed = max(run_all(run, bounds[:-1], bounds[1:]))
+    if failed == _NO_MEMORY:
         raise MemoryError(f"no memory for frontier tables of {height} x {width} cells")
+    if failed == _OUTSIDE:
+        raise ValueError(f"a position is outside its map of {height} x {width} cells")
     return table
 
 
 @lru_cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="frontier")
+
+
+if hasattr(os, "register_at_fork"):  # threads do not survive a fork
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 @_frontier_table.register_fake
@@ -119,7 +128,9 @@ def feature_table(
         float32 [*B, 8, 3].
 
     Raises:
-        ValueError: for an unknown normalisation, or entries of another dtype, shape or device.
+        ValueError: for an unknown normalisation, entries of another dtype, shape or device, or a
+            position outside its map.
+        RuntimeError: when there is no kernel.
     """
     if normalize not in NORMALIZATIONS:
         raise ValueError(f"normalize={normalize!r} is not one of {NORMALIZATIONS}")

@@ -260,18 +260,23 @@ static void write_table(const Moments *moments, int64_t longest, int mode, int64
     }
 }
 
-/* maps int8 [robots, height, width], positions int64 [robots, 2] inside the maps,
- * tables float [robots, 8, 3]; mode one of RAW, RELATIVE, PROXIMITY, ABSOLUTE.
- * Returns 0, or 1 when memory is out. */
+/* maps int8 [robots, height, width], positions int64 [robots, 2], tables float [robots, 8, 3];
+ * mode one of RAW, RELATIVE, PROXIMITY, ABSOLUTE.
+ * Returns 0, 1 when memory is out, or 2 when a position is outside its map. */
 int marl_explore_frontier_tables(const int8_t *maps, const int64_t *positions, int64_t robots,
                                  int64_t height, int64_t width, int mode, float *tables) {
     Grid grid;
-    uint8_t *block = allocate(&grid, height, width);
-    if (block == NULL)
+    uint8_t *memory = allocate(&grid, height, width);
+    if (memory == NULL)
         return 1;
     for (int64_t robot = 0; robot < robots; robot++) {
         const int8_t *map = maps + robot * height * width;
-        const int64_t start = cell_at(&grid, positions[2 * robot], positions[2 * robot + 1]);
+        const int64_t row = positions[2 * robot], column = positions[2 * robot + 1];
+        if (row < 0 || row >= height || column < 0 || column >= width) {
+            free(memory);
+            return 2;
+        }
+        const int64_t start = cell_at(&grid, row, column);
         Moments moments[DIRECTIONS];
         int64_t longest = 0;
         memset(moments, 0, sizeof moments);
@@ -283,6 +288,6 @@ int marl_explore_frontier_tables(const int8_t *maps, const int64_t *positions, i
         }
         write_table(moments, longest, mode, height, width, tables + robot * DIRECTIONS * FEATURES);
     }
-    free(block);
+    free(memory);
     return 0;
 }

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from tensordict.nn import TensorDictModuleBase
 
 from marl_explore.config import ArenaConfig
-from marl_explore.planners.communication import never, pair_timer
+from marl_explore.planners.communication import PairTimer, never
 from marl_explore.planners.nearest import NearestFrontier
 from marl_explore.planners.random import RandomWalk
 
@@ -17,9 +17,9 @@ PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "random": lambda config: RandomWalk(),
     "nearest": lambda config: NearestFrontier(never),
     "nearest-timer": lambda config: NearestFrontier(
-        pair_timer(PAIR_TIMER_STEPS, config.communication_cells)
+        PairTimer(PAIR_TIMER_STEPS, config.communication_cells)
     ),
 }
 """Planners by name, each made for a configuration."""
 
-__all__ = ["PLANNERS", "NearestFrontier", "RandomWalk", "never", "pair_timer"]
+__all__ = ["PLANNERS", "NearestFrontier", "PairTimer", "RandomWalk", "never"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
@@ -18,15 +19,19 @@ def never(tensordict: TensorDictBase) -> Tensor:
     return torch.zeros_like(tensordict.get(("agents", "merged")))
 
 
-def pair_timer(steps: int, range_cells: float) -> CommunicationRule:
+@dataclass(frozen=True)
+class PairTimer:
     """Communicate beside a robot in range last merged with ``steps`` ago or more, or never.
 
     The rule is symmetric: both robots of a pair come to it without a message.
     """
 
-    def rule(tensordict: TensorDictBase) -> Tensor:
-        # a robot's counter with itself stays 0, so it never counts as its own partner
-        overdue = tensordict.get(("agents", "steps_since_merge")) >= steps
-        return (overdue & in_range(tensordict.get(("agents", "position")), range_cells)).any(-1)
+    steps: int
+    range_cells: float
 
-    return rule
+    def __call__(self, tensordict: TensorDictBase) -> Tensor:
+        """Who communicates, bool [*B, N]."""
+        # a robot's counter with itself stays 0, so it never counts as its own partner
+        overdue = tensordict.get(("agents", "steps_since_merge")) >= self.steps
+        reach = in_range(tensordict.get(("agents", "position")), self.range_cells)
+        return (overdue & reach).any(-1)
