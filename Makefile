@@ -27,7 +27,8 @@ bench: $(VENV)/installed-dev
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
+# torch first and by its exact version: a range may bring a build for GPUs
+$(VENV)/installed: pyproject.toml constraints.txt marl_explore/native/frontier.c | $(BIN)/python
 	$(BIN)/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
 	$(BIN)/python -m pip install -q -c constraints.txt -e .
 	touch $@

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 TOLERANCE = 1e-9
 """Slack of every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
@@ -138,6 +138,15 @@ class ArenaConfig:
         return self.fov_size**2 + 24 + self.num_agents
 
 
+Architecture = Literal["mlp", "cnn"]
+CriticInput = Literal["observation", "state"]
+_CHOICES = {
+    "architecture": get_args(Architecture),
+    "critic_reads": get_args(CriticInput),
+    "fpr": ("relative", "proximity", "absolute"),
+}
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """A training run; the defaults are the paper's Table III and, where it is silent, HAPPO's."""
@@ -148,11 +157,13 @@ class TrainConfig:
     """Reward: case1, case2, case2-literal or team."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"
     """Normalisation of the frontier table."""
-    architecture: Literal["mlp", "cnn"] = "mlp"
+    architecture: Architecture = "mlp"
     """Networks of actors and critic."""
     hidden: tuple[int, ...] = (2400, 300)
     """Widths of the hidden layers; a CNN uses the last one."""
-    critic_reads: Literal["observation", "state"] = "observation"
+    norm_last: bool = False
+    """Whether the last hidden layer of an MLP is normalised too."""
+    critic_reads: CriticInput = "observation"
     """Whether the critic reads the joint observation (the paper) or the true state."""
     episodes: int = 5000
     """Training length, n_e (episodes of episode_steps steps)."""
@@ -202,6 +213,8 @@ class TrainConfig:
             self.minibatches,
             f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",
         )
+        for name, allowed in _CHOICES.items():
+            _require(getattr(self, name) in allowed, name, getattr(self, name), f"use {allowed}")
         for width in self.hidden:
             require_integer("hidden", width, 1)
         _require(len(self.hidden) > 0, "hidden", self.hidden, "it needs at least one width")
@@ -234,7 +247,7 @@ class TrainConfig:
         return self.episodes * self.episode_steps // self.batch_frames
 
 
-def _paper(architecture: Literal["mlp", "cnn"], reward: str) -> TrainConfig:
+def _paper(architecture: Architecture, reward: str) -> TrainConfig:
     return TrainConfig(architecture=architecture, reward=reward)
 
 

@@ -2,35 +2,56 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+import torch
 from torchrl.envs import Compose, TransformedEnv
 
+from marl_explore.arenas import Generator
+from marl_explore.config import ArenaConfig
 from marl_explore.core.frontier import Normalization
+from marl_explore.core.rewards import Reward
 from marl_explore.env import ExplorationEnv
 from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
 from marl_explore.transforms.frontier import Backend
 
 
 def make_env(
-    *args: Any,
+    config: ArenaConfig | None = None,
+    num_envs: int = 1,
+    reward: str | Reward = "case2",
+    max_steps: int = 200,
+    terminate_at_coverage: float | None = None,
+    arenas: str | Generator = "uniform",
+    seed: int = 0,
+    stream: str = "train",
+    first_arena: int = 0,
+    device: torch.device | str = "cpu",
     fpr: Normalization | None = "relative",
     backend: Backend = "auto",
-    **kwargs: Any,
 ) -> TransformedEnv:
-    """An ``ExplorationEnv`` that also observes FPR and NET.
+    """An ``ExplorationEnv`` with both transforms: it also observes FPR and NET.
+
+    The state of an episode is in ``make_env(...).base_env.state_dict()``.
 
     Args:
-        *args: as ``ExplorationEnv``.
+        config, num_envs, reward, max_steps, terminate_at_coverage, arenas, seed, stream,
+        first_arena, device: as for ``ExplorationEnv``.
         fpr: normalisation of the frontier table: "relative", "proximity", "absolute" or None.
         backend: what computes the frontier table: "auto", "torch" or "native".
-        **kwargs: as ``ExplorationEnv``.
     """
-    env = ExplorationEnv(*args, **kwargs)
-    return TransformedEnv(
-        env,
-        Compose(
-            FrontierReachability(normalize=fpr, backend=backend),
-            CommunicationNeighbors(range_cells=env.config.communication_cells),
-        ),
+    env = ExplorationEnv(
+        config,
+        num_envs=num_envs,
+        reward=reward,
+        max_steps=max_steps,
+        terminate_at_coverage=terminate_at_coverage,
+        arenas=arenas,
+        seed=seed,
+        stream=stream,
+        first_arena=first_arena,
+        device=device,
     )
+    features = Compose(
+        FrontierReachability(normalize=fpr, backend=backend),
+        CommunicationNeighbors(range_cells=env.config.communication_cells),
+    )
+    return TransformedEnv(env, features)

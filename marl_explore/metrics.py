@@ -111,8 +111,8 @@ def before_completion(episodes: Episodes) -> Tensor:
     return known < episodes.num_targets.unsqueeze(-1)
 
 
-def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
-    """Communicate actions over all actions of each episode, float64 [B].
+def communication_share(episodes: Episodes, steps: Tensor | None = None) -> float:
+    """Communicate actions over all actions.
 
     Args:
         episodes: B episodes.
@@ -122,25 +122,25 @@ def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Tens
     return _share(communicating, torch.ones_like(communicating), steps)
 
 
-def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
-    """Communicate actions that enlarged the sender's map over all of them, float64 [B].
+def useful_share(episodes: Episodes, steps: Tensor | None = None) -> float:
+    """Communicate actions that enlarged the sender's map over all of them.
 
-    Lone ones count as useless; NaN where no robot communicated.
+    Lone ones count as useless; NaN if no robot ever communicated.
     """
     communicating = episodes.action == COMMUNICATE
     return _share(communicating & (episodes.received[:, 1:] > 0), communicating, steps)
 
 
-def dangerous_share(episodes: Episodes) -> Tensor:
-    """Refused moves over chosen moves, float64 [B]; NaN where no robot chose a move."""
+def dangerous_share(episodes: Episodes) -> float:
+    """Refused moves over chosen moves; NaN if no robot ever chose a move."""
     return _share(episodes.dangerous[:, 1:], episodes.action < NUM_DIRECTIONS, None)
 
 
-def _share(part: Tensor, whole: Tensor, steps: Tensor | None) -> Tensor:
-    """Events of [B, T, N] over events, float64 [B]."""
+def _share(part: Tensor, whole: Tensor, steps: Tensor | None) -> float:
+    """Events of [B, T, N] over events, of all episodes together."""
     if steps is not None:
         part, whole = part & steps.unsqueeze(-1), whole & steps.unsqueeze(-1)
-    return part.flatten(1).sum(-1).double() / whole.flatten(1).sum(-1)
+    return float(part.sum().double() / whole.sum())
 
 
 def enlargements(episodes: Episodes) -> Tensor:
@@ -181,7 +181,7 @@ def overlap(episodes: Episodes) -> Tensor:
 
 
 def summarize(episodes: Episodes) -> dict[str, float]:
-    """Means over episodes of every measure, by name; shares ignore episodes without events."""
+    """Every measure by name: times and cells as means over episodes, shares over all events."""
     maps, targets = episodes.maps, episodes.num_targets
     largest, smallest = maps.known_targets.amax(-1), maps.known_targets.amin(-1)
     curves = coverage(episodes)
@@ -211,6 +211,6 @@ def summarize(episodes: Episodes) -> dict[str, float]:
         "overlap": overlap(episodes),
     }
     return {
-        name: float(torch.as_tensor(value, dtype=torch.float64).nanmean())
+        name: float(torch.as_tensor(value, dtype=torch.float64).mean())
         for name, value in summary.items()
     }

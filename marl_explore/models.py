@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Literal
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -25,11 +24,8 @@ from torchrl.envs import ExplorationType
 from torchrl.envs.utils import exploration_type
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import Architecture, ArenaConfig, CriticInput
 from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
-
-Architecture = Literal["mlp", "cnn"]
-CriticInput = Literal["observation", "state"]
 
 OBSERVATION_KEYS: list[NestedKey] = [
     ("agents", "observation", key) for key in ("fov", "fpr", "net")
@@ -144,9 +140,15 @@ class CNNEncoder(nn.Module):
 class CNNActor(nn.Module):
     """Logits [*B, 10] of one robot through a ``CNNEncoder`` (the paper's Fig. 2a)."""
 
-    def __init__(self, config: ArenaConfig, hidden: int = 300) -> None:
+    def __init__(
+        self,
+        config: ArenaConfig,
+        hidden: int = 300,
+        channels: Sequence[int] = (8, 16),
+        widths: tuple[int, int, int] = (64, 64, 16),
+    ) -> None:
         super().__init__()
-        self.encoder = CNNEncoder(config)
+        self.encoder = CNNEncoder(config, channels, widths)
         self.head = nn.Sequential(
             nn.Linear(self.encoder.size, hidden), nn.ReLU(), nn.Linear(hidden, NUM_ACTIONS)
         )
@@ -160,9 +162,15 @@ class CNNActor(nn.Module):
 class CNNCritic(nn.Module):
     """Value [*B, 1] of the joint observation, one ``CNNEncoder`` per robot (Fig. 2b)."""
 
-    def __init__(self, config: ArenaConfig, hidden: int = 300) -> None:
+    def __init__(
+        self,
+        config: ArenaConfig,
+        hidden: int = 300,
+        channels: Sequence[int] = (8, 16),
+        widths: tuple[int, int, int] = (64, 64, 16),
+    ) -> None:
         super().__init__()
-        encoders = [CNNEncoder(config) for _ in range(config.num_agents)]
+        encoders = [CNNEncoder(config, channels, widths) for _ in range(config.num_agents)]
         size = sum(encoder.size for encoder in encoders)
         self.encoders = nn.ModuleList(encoders)
         self.head = nn.Sequential(nn.Linear(size, hidden), nn.ReLU(), nn.Linear(hidden, 1))
@@ -216,21 +224,33 @@ def _by_robot(*inputs: Tensor) -> Iterable[tuple[Tensor, ...]]:
     return zip(*split, strict=True)
 
 
-def make_actor(config: ArenaConfig, architecture: Architecture, hidden: Sequence[int]) -> nn.Module:
+def make_actor(
+    config: ArenaConfig,
+    architecture: Architecture,
+    hidden: Sequence[int],
+    norm_last: bool = False,
+) -> nn.Module:
     """One robot's actor network; of ``hidden`` a CNN uses the last width."""
     if architecture == "mlp":
-        return MLPActor(config, hidden)
+        return MLPActor(config, hidden, norm_last)
     return CNNActor(config, hidden[-1])
 
 
 def make_critic(
-    config: ArenaConfig, architecture: Architecture, hidden: Sequence[int], reads: CriticInput
+    config: ArenaConfig,
+    architecture: Architecture,
+    hidden: Sequence[int],
+    reads: CriticInput,
+    norm_last: bool = False,
 ) -> TensorDictModule:
     """The shared critic, writing "state_value" [*B, 1] from the observations or the true state."""
     if reads == "state":
-        return TensorDictModule(StateCritic(config, hidden), STATE_KEYS, ["state_value"])
-    network = MLPCritic(config, hidden) if architecture == "mlp" else CNNCritic(config, hidden[-1])
-    return TensorDictModule(network, OBSERVATION_KEYS, ["state_value"])
+        return TensorDictModule(StateCritic(config, hidden, norm_last), STATE_KEYS, ["state_value"])
+    if architecture == "mlp":
+        return TensorDictModule(
+            MLPCritic(config, hidden, norm_last), OBSERVATION_KEYS, ["state_value"]
+        )
+    return TensorDictModule(CNNCritic(config, hidden[-1]), OBSERVATION_KEYS, ["state_value"])
 
 
 class TeamActor(TensorDictModuleBase):

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-from tensordict import TensorDictBase
-from torch import Tensor
-
-matplotlib.use("Agg")
-
-from matplotlib import pyplot as plt
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from tensordict import TensorDictBase
+from torch import Tensor
 
 # Okabe and Ito's palette: told apart with every kind of colour vision
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
@@ -38,9 +36,11 @@ def coverage_figure(curves: Mapping[str, Tensor], path: str | Path) -> Path:
         curves: per policy [B, T + 1], shares of the target cells.
         path: image file to write.
     """
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
-        for (name, curve), color in zip(curves.items(), COLORS, strict=False):
+    with matplotlib.rc_context(STYLE):
+        # without pyplot: a user's backend and open figures stay as they are
+        figure = Figure(figsize=(6, 3.6), layout="constrained")
+        axes = figure.subplots()
+        for (name, curve), color in zip(curves.items(), cycle(COLORS)):
             values = 100 * curve.numpy()
             steps = np.arange(values.shape[1])
             axes.plot(steps, values.mean(0), color=color, label=name, linewidth=1.8)
@@ -70,21 +70,20 @@ def episode_animation(
         frames_per_second: speed.
     """
     frames = [_Frame(step, arena) for step in steps]
-    with plt.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
         animation = FuncAnimation(
             figure, lambda t: draw(t), frames=len(frames), interval=1000 / frames_per_second
         )
         path = Path(path)
         animation.save(path, PillowWriter(fps=frames_per_second), dpi=80)
-        plt.close(figure)
     return path
 
 
 def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int = 0) -> Path:
     """The last frame of ``episode_animation`` with the robots' whole paths."""
     frames = [_Frame(step, arena) for step in steps]
-    with plt.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
         draw(len(frames) - 1)
         return _save(figure, path)
@@ -104,9 +103,8 @@ class _Frame:
 def _panels(frames: Sequence[_Frame]):  # type: ignore[no-untyped-def]
     """The figure of an episode and the function that draws its frame ``t``."""
     robots = len(frames[0].position)
-    figure, axes = plt.subplots(
-        1, robots + 1, figsize=(2.1 * (robots + 1), 2.5), layout="constrained", squeeze=False
-    )
+    figure = Figure(figsize=(2.1 * (robots + 1), 2.5), layout="constrained")
+    axes = figure.subplots(1, robots + 1, squeeze=False)
     num_cells = frames[0].obstacles.size
 
     def draw(t: int) -> None:
@@ -134,7 +132,7 @@ def _draw_grid(axes: Axes, grid: np.ndarray, title: str, color: str = "black") -
     """A grid of -1 unknown, 0 free, 1 occupied."""
     axes.clear()
     shades = [UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR]
-    axes.imshow(grid, cmap=matplotlib.colors.ListedColormap(shades), vmin=-1, vmax=1)
+    axes.imshow(grid, cmap=ListedColormap(shades), vmin=-1, vmax=1)
     axes.set_title(title, color=color)
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(True)
@@ -143,5 +141,4 @@ def _draw_grid(axes: Axes, grid: np.ndarray, title: str, color: str = "black") -
 def _save(figure: Figure, path: str | Path) -> Path:
     path = Path(path)
     figure.savefig(path)
-    plt.close(figure)
     return path

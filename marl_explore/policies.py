@@ -20,9 +20,9 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import Architecture, ArenaConfig
 from marl_explore.core.frontier import Normalization
-from marl_explore.models import Architecture, TeamActor, make_actor
+from marl_explore.models import TeamActor, make_actor
 from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
 
 FORMAT = "marl_explore.policy/1"
@@ -38,11 +38,12 @@ class PolicySpec:
     architecture: Architecture
     hidden: tuple[int, ...]
     fpr: Normalization | None
+    norm_last: bool = False
 
     def make_actors(self) -> list[nn.Module]:
         """A freshly initialised network per robot."""
         return [
-            make_actor(self.arena, self.architecture, self.hidden)
+            make_actor(self.arena, self.architecture, self.hidden, self.norm_last)
             for _ in range(self.arena.num_agents)
         ]
 
@@ -71,22 +72,24 @@ class Policy(TensorDictModuleBase):
         super().__init__()
         self.spec = spec
         self.team = TeamActor(actors)
-        self._features = nn.Sequential(
-            FrontierReachability(normalize=spec.fpr),
-            CommunicationNeighbors(range_cells=spec.arena.communication_cells),
-        )
+        self._fpr = FrontierReachability(normalize=spec.fpr)
+        self._net = CommunicationNeighbors(range_cells=spec.arena.communication_cells)
 
     @property
     def actors(self) -> nn.ModuleList:
         """The networks, one per robot."""
         return self.team.stacked.actors
 
+    def use_range(self, cells: float) -> None:
+        """Count robots up to this distance (cells) as in range; at first that of the training."""
+        self._net.range_cells = cells
+
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
         observation = tensordict.select(*self.in_keys)
         self._check(observation)
-        acted = self.team(self._features(observation))
+        acted = self.team(self._net(self._fpr(observation)))
         return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
 
     def _check(self, observation: TensorDictBase) -> None:
@@ -119,6 +122,8 @@ def save_policy(policy: Policy, path: str | Path, info: Mapping[str, Any] | None
         "info": json.dumps(dict(info or {})),
     }
     weights = {name: tensor.contiguous() for name, tensor in policy.actors.state_dict().items()}
+    if not path.parent.is_dir():
+        raise ValueError(f"cannot save a policy to {path}: the folder does not exist")
     unfinished = path.with_name(path.name + ".unfinished")
     save_file(weights, unfinished, metadata)
     os.replace(unfinished, path)
@@ -143,15 +148,14 @@ def load_policy(path_or_name: str | Path) -> Policy:
             f"{path} is not a policy of this package: its format is "
             f"{metadata.get('format')!r}, expected {FORMAT!r}"
         )
-    fields = json.loads(metadata["spec"])
-    spec = PolicySpec(
-        arena=ArenaConfig(**fields["arena"]),
-        architecture=fields["architecture"],
-        hidden=tuple(fields["hidden"]),
-        fpr=fields["fpr"],
-    )
-    policy = Policy(spec, spec.make_actors())
-    policy.actors.load_state_dict(weights)
+    try:
+        fields = json.loads(metadata["spec"])
+        fields |= {"arena": ArenaConfig(**fields["arena"]), "hidden": tuple(fields["hidden"])}
+        spec = PolicySpec(**fields)
+        policy = Policy(spec, spec.make_actors())
+        policy.actors.load_state_dict(weights)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path} is not a complete policy: {error!r}") from error
     return policy.eval()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shlex
 import sys
 import time
 from collections.abc import Mapping
@@ -29,10 +30,20 @@ def new_folder(path: str | Path) -> Path:
     Raises:
         ValueError: when it exists and holds something.
     """
+    path = require_new(path)
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def require_new(path: str | Path) -> Path:
+    """Refuse a folder that exists and holds something.
+
+    Raises:
+        ValueError: naming it.
+    """
     path = Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"output folder {str(path)!r} exists and is not empty: choose another")
-    path.mkdir(parents=True, exist_ok=True)
     return path
 
 
@@ -46,7 +57,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def provenance() -> dict[str, Any]:
     """What is needed to do a run again: command, versions and machine."""
     return {
-        "command": " ".join([Path(sys.executable).name, *sys.argv]),
+        "command": shlex.join([Path(sys.executable).name, *sys.argv]),
         "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
         "platform": platform.platform(),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -97,7 +108,7 @@ def _headline(metrics: Mapping[str, float]) -> dict[str, str]:
     """The progress bar's numbers, as far as the update has them."""
     columns = {
         "return": ("episode_return", "{:.1f}"),
-        "known": ("final_known_ratio", "{:.1%}"),
+        "coverage": ("final_coverage", "{:.1%}"),
         "communicate": ("communication_share", "{:.0%}"),
     }
     return {

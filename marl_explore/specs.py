@@ -32,6 +32,10 @@ def exploration_specs(
     def integer(low: int, high: int, *shape: int, dtype: torch.dtype = torch.int64) -> Bounded:
         return Bounded(low, high, shape=(*batch_size, *shape), dtype=dtype, device=device)
 
+    def cell(*shape: int) -> Bounded:
+        last = torch.tensor(size, device=device).expand(*batch_size, *shape, 2) - 1
+        return Bounded(torch.zeros_like(last), last, dtype=torch.int64, device=device)
+
     def real(*shape: int) -> Unbounded:
         return Unbounded(shape=(*batch_size, *shape), dtype=torch.float32, device=device)
 
@@ -51,7 +55,7 @@ def exploration_specs(
             "step_count": Unbounded(shape=(*batch_size, 1), dtype=torch.int64, device=device),
         }, {
             "map": integer(-1, 1, robots, *size, dtype=torch.int8),
-            "position": integer(0, max(size) - 1, robots, 2),
+            "position": cell(robots),
             "unshared": integer(0, cells, robots, robots),
             "steps_since_merge": integer(0, NEVER, robots, robots),
         }

@@ -14,7 +14,8 @@ from torchrl.modules import PopArtValueNorm
 
 from marl_explore.collect import make_collector
 from marl_explore.config import TrainConfig
-from marl_explore.core.grid import COMMUNICATE, UNKNOWN
+from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
+from marl_explore.core.mapping import known_cells, known_targets, target_cells
 from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
 from marl_explore.models import make_critic, probabilistic_actor
@@ -51,9 +52,13 @@ class Trainer:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
-        spec = PolicySpec(config.arena, config.architecture, config.hidden, config.fpr)
+        spec = PolicySpec(
+            config.arena, config.architecture, config.hidden, config.fpr, config.norm_last
+        )
         self.policy = Policy(spec, spec.make_actors())
-        critic = make_critic(config.arena, config.architecture, config.hidden, config.critic_reads)
+        critic = make_critic(
+            config.arena, config.architecture, config.hidden, config.critic_reads, config.norm_last
+        )
         names = [f"robot_{i}" for i in range(config.arena.num_agents)]
         self.loss = HAPPOLoss(
             {n: probabilistic_actor(a) for n, a in zip(names, self.policy.actors, strict=True)},
@@ -148,15 +153,19 @@ def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
         "reward": float(following["reward"].mean()),
         "communication_share": float(communicating.float().mean()),
         "useful_share": float(useful.sum() / communicating.sum()),
-        "dangerous_share": float(agents["dangerous"].float().mean()),
+        "dangerous_share": float(agents["dangerous"].sum() / (action < NUM_DIRECTIONS).sum()),
     }
     ended = following["done"].squeeze(-1)
     if ended.any():
-        known = (agents["map"][ended] != UNKNOWN).flatten(-2).float().mean(-1)
+        grid = agents["map"][ended]
+        target = target_cells(following["obstacles"][ended], agents["position"][ended])
+        covered = known_targets(grid, target).amax(-1) / target.flatten(-2).sum(-1)
+        known = known_cells(grid).amax(-1) / target[0].numel()
         metrics |= {
             "episode_return": float(following["episode_reward"][ended].mean()),
             "episode_steps": float(following["step_count"][ended].float().mean()),
-            "final_known_ratio": float(known.amax(-1).mean()),
+            "final_coverage": float(covered.mean()),
+            "final_known_ratio": float(known.mean()),
         }
     return metrics
 

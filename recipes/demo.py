@@ -12,7 +12,9 @@ from pathlib import Path
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS
+from marl_explore.config import PRESETS, require_integer
+
+MARK = "demo.txt"
 
 
 @dataclass(frozen=True)
@@ -22,13 +24,18 @@ class Arguments:
     out: Path = Path("demo")
     """Folder for the results; an earlier demonstration in it is replaced."""
     seed: int = 0
-    """Seed of training and test arenas."""
+    """Seed of the training."""
     episodes: int = PRESETS["fast"].episodes
     """Training length (episodes)."""
     num_arenas: int = 200
     """Test arenas."""
     threads: int = 1
     """CPU threads of torch."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        require_integer("num_arenas", self.num_arenas, 1)
+        require_integer("threads", self.threads, 1)
 
 
 def parse() -> Arguments:
@@ -42,16 +49,20 @@ def run(arguments: Arguments) -> None:
 
     from marl_explore import metrics, plots, runs
     from marl_explore.env import ExplorationEnv
-    from marl_explore.evaluation import find_policy, format_table, play, record, write_results
+    from marl_explore.evaluation import find_policy, format_table, play, write_results
+    from marl_explore.evaluation import record as record_episodes
     from marl_explore.planners import PLANNERS
 
     torch.set_num_threads(arguments.threads)
     config = replace(PRESETS["fast"], seed=arguments.seed, episodes=arguments.episodes)
-    folder = arguments.out
-    if (folder / "demo.txt").exists():  # only ever remove what an earlier demonstration made
-        shutil.rmtree(folder)
-    runs.new_folder(folder)
-    (folder / "demo.txt").write_text("made by recipes/demo.py, which may replace this folder\n")
+    if not (arguments.out / MARK).exists():
+        runs.require_new(arguments.out)
+    # made beside it, so that an earlier demonstration is replaced by a whole one or not at all
+    folder = arguments.out.with_name(arguments.out.name + ".unfinished")
+    shutil.rmtree(folder, ignore_errors=True)
+    record = runs.provenance()
+    folder.mkdir(parents=True)
+    (folder / MARK).write_text("made by recipes/demo.py, which may replace this folder\n")
 
     print(f"training the preset 'fast' on {config.updates * config.batch_frames} steps ...")
     learned = runs.train(config, folder / "training")
@@ -59,11 +70,11 @@ def run(arguments: Arguments) -> None:
     print(f"evaluating on {arguments.num_arenas} test arenas ...")
     policies = {"learned": learned} | {n: find_policy(n, config.arena) for n in PLANNERS}
     episodes = {
-        name: record(policy, config.arena, num_arenas=arguments.num_arenas)
+        name: record_episodes(policy, config.arena, num_arenas=arguments.num_arenas)
         for name, policy in policies.items()
     }
     results = {name: metrics.summarize(recorded) for name, recorded in episodes.items()}
-    write_results(folder, results, runs.provenance())
+    write_results(folder, results, record)
     plots.coverage_figure(
         {name: metrics.coverage(recorded)["largest"] for name, recorded in episodes.items()},
         folder / "coverage.png",
@@ -73,9 +84,11 @@ def run(arguments: Arguments) -> None:
     steps = play(learned, env, steps=100, until_done=True)
     plots.episode_animation(list(steps), folder / "episode.gif")
 
+    shutil.rmtree(arguments.out, ignore_errors=True)
+    folder.rename(arguments.out)
     print(format_table(results))
     for name in ("table.txt", "results.csv", "coverage.png", "episode.gif", "training"):
-        print(f"{folder / name}")
+        print(arguments.out / name)
 
 
 if __name__ == "__main__":

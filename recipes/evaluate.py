@@ -1,18 +1,21 @@
 """Evaluate policies side by side on the same test arenas.
 
 python recipes/evaluate.py runs/my-run nearest-timer random
+
+The arenas are those the first trained policy was trained for, changed by the flags.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ArenaConfig, require_integer
 
 
 @dataclass(frozen=True)
@@ -31,10 +34,24 @@ class Arguments:
     out: Path | None = None
     """New folder for results.json, results.csv and table.txt; default: only print."""
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        require_integer("num_arenas", self.num_arenas, 1)
+        require_integer("steps", self.steps, 1)
+        require_integer("seed", self.seed, 0)
+
 
 def parse() -> Arguments:
-    """Read the command line."""
-    return tyro.cli(Arguments, prog="evaluate.py", description=__doc__, config=cli.OPTIONS)
+    """Read the command line; a trained policy's arena is the default of the arena's flags."""
+    read = partial(tyro.cli, Arguments, prog="evaluate.py", description=__doc__, config=cli.OPTIONS)
+    arguments = read()
+    from marl_explore.evaluation import trained_arena
+
+    for name in arguments.policies:
+        arena = trained_arena(name)
+        if arena is not None:
+            return read(default=Arguments(arguments.policies, arena))
+    return arguments
 
 
 def run(arguments: Arguments) -> None:
@@ -44,6 +61,9 @@ def run(arguments: Arguments) -> None:
 
     if not arguments.policies:
         raise ValueError("name at least one policy, such as random or a run folder")
+    record = runs.provenance() | {"settings": asdict(arguments)}
+    if arguments.out:
+        runs.require_new(arguments.out)
     policies = {name: find_policy(name, arguments.arena) for name in arguments.policies}
     results = {}
     for name, policy in policies.items():
@@ -57,7 +77,6 @@ def run(arguments: Arguments) -> None:
     print(format_table(results))
     if arguments.out:
         folder = runs.new_folder(arguments.out)
-        record = runs.provenance() | {"settings": asdict(arguments)}
         write_results(folder, results, record)
         print(f"all measures: {folder}")
 

@@ -9,6 +9,7 @@ collector and advantage estimation of TorchRL; nothing is hidden in a trainer.
 from __future__ import annotations
 
 import torch
+import tyro
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
 from torchrl.envs import RewardSum
@@ -26,7 +27,11 @@ ENVS, STEPS, EPOCHS = 32, 50, 5
 
 
 def main(updates: int = 60) -> float:
-    """Train a team of four; returns the mean length of the last finished episodes (steps)."""
+    """Train a team of four; returns the mean length of the last finished episodes (steps).
+
+    Args:
+        updates: updates of every network's parameters on a batch of 32 x 50 steps.
+    """
     torch.manual_seed(0)
     arena = ArenaConfig()
 
@@ -87,4 +92,4 @@ def main(updates: int = 60) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)

@@ -1,6 +1,7 @@
 """Train a team with HAPPO.
 
 python recipes/train.py fast
+
 python recipes/train.py paper-cnn-case2 --seed 1 --out runs/cnn-case2-seed1
 """
 
@@ -13,7 +14,7 @@ from pathlib import Path
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS, TrainConfig
+from marl_explore.config import PRESETS, TrainConfig, require_integer
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,10 @@ class Arguments:
     """New run folder; default: runs/ and the time."""
     threads: int = 1
     """CPU threads of torch."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        require_integer("threads", self.threads, 1)
 
 
 def parse() -> Arguments:

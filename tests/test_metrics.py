@@ -63,12 +63,23 @@ def test_a_coverage_never_reached_counts_one_step_more_than_the_horizon():
 
 def test_communication_shares():
     episodes = hand_made()
-    assert metrics.communication_share(episodes).tolist() == [2 / 6]
-    assert metrics.useful_share(episodes).tolist() == [1.0]
+    assert metrics.communication_share(episodes) == 2 / 6
+    assert metrics.useful_share(episodes) == 1.0
     lone = episodes._replace(received=torch.zeros_like(episodes.received))
-    assert metrics.useful_share(lone).tolist() == [0.0]
+    assert metrics.useful_share(lone) == 0.0
     silent = episodes._replace(action=torch.full((1, 3, 2), STAY))
-    assert metrics.useful_share(silent).isnan().all()
+    assert math.isnan(metrics.useful_share(silent))
+
+
+def test_shares_are_over_the_events_of_all_episodes():
+    one = hand_made()
+    silent = one._replace(action=torch.full((1, 3, 2), STAY))
+    both = one._replace(
+        action=torch.cat((one.action, silent.action)),
+        received=torch.cat((one.received, 0 * one.received)),
+    )
+    assert metrics.communication_share(both) == 2 / 12
+    assert metrics.useful_share(both) == 1.0
 
 
 def test_steps_after_completion_can_be_left_out():
@@ -77,7 +88,7 @@ def test_steps_after_completion_can_be_left_out():
     assert metrics.before_completion(early).tolist() == [[True, True, False]]
     assert metrics.before_completion(episodes).tolist() == [[True, True, True]]
     steps = metrics.before_completion(early)
-    assert metrics.communication_share(early, steps).tolist() == [2 / 4]
+    assert metrics.communication_share(early, steps) == 2 / 4
 
 
 def test_enlargements_and_cells_on_the_air():
@@ -90,7 +101,7 @@ def test_enlargements_and_cells_on_the_air():
 
 def test_motion_and_overlap():
     episodes = hand_made()
-    assert metrics.dangerous_share(episodes).tolist() == [1 / 3]
+    assert metrics.dangerous_share(episodes) == 1 / 3
     assert metrics.distance_travelled(episodes).item() == pytest.approx(0.5 * (1 + math.sqrt(2)))
     assert metrics.overlap(episodes).item() == pytest.approx((3 + 3 + 2 + 1 + 1) / 9 - 1)
 
