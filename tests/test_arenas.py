@@ -98,6 +98,40 @@ def test_a_density_without_connected_arenas_is_named():
         Uniform(config)(0, torch.arange(2), torch.zeros(2, dtype=torch.int64))
 
 
+def test_the_last_attempt_counts(monkeypatch):
+    config = ArenaConfig(obstacle_density=0.25)
+    arenas = torch.arange(12)
+
+    def drawn(attempts):
+        monkeypatch.setattr("marl_explore.arenas.uniform.MAX_ATTEMPTS", attempts)
+        found = []
+        for arena in arenas:
+            try:
+                Uniform(config)(0, arena.unsqueeze(0), torch.zeros(1, dtype=torch.int64))
+                found.append(int(arena))
+            except ValueError:
+                pass
+        return found
+
+    first = [
+        int(arena)
+        for arena in arenas
+        if reference.connected(first_attempt(config, 0, int(arena)).tolist())
+    ]
+    assert first
+    assert drawn(attempts=1) == first
+    assert len(drawn(attempts=30)) > len(first)
+
+
+def first_attempt(config, seed, arena):
+    """Obstacles before any is rejected, by plain Python."""
+    key = combined(seed, arena, 0)
+    order = sorted(range(config.num_cells), key=lambda cell: signed(combined(key, 0, 0, cell)))
+    obstacles = torch.zeros(config.num_cells, dtype=torch.bool)
+    obstacles[order[: config.num_obstacles]] = True
+    return obstacles.view(config.height, config.width)
+
+
 def test_unknown_suites_are_refused_with_the_known_ones():
     assert "uniform" in list_suites()
     with pytest.raises(ValueError, match=r"arenas='rooms' is unknown.*uniform"):

@@ -91,6 +91,9 @@ def test_paper_presets_have_the_papers_numbers(name):
         ({"actor_lr": 0.0}, "actor_lr=0.0"),
         ({"entropy_coeff": -1.0}, "entropy_coeff=-1.0"),
         ({"seed": -1}, "seed=-1"),
+        ({"architecture": "MLP"}, "architecture='MLP' .*mlp.*cnn"),
+        ({"critic_reads": "everything"}, "critic_reads='everything'"),
+        ({"fpr": "max"}, "fpr='max'"),
         ({"terminate_at_coverage": 0.0}, "terminate_at_coverage=0.0"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 
 import pytest
@@ -168,8 +169,8 @@ def test_tensors_handed_out_are_never_written_to():
         td = env.rand_action(td)
         stepped, td = env.step_and_maybe_reset(td)
         kept.append((stepped, stepped.clone()))
-    for seen, copy in kept:
-        assert (seen == copy).all()
+    for seen, as_it_was in kept:
+        assert (seen == as_it_was).all()
 
 
 def test_episodes_are_truncated_at_max_steps_and_go_on_with_the_next_arena():
@@ -302,6 +303,33 @@ def test_given_starts_that_cannot_be_are_refused(change, message):
     assert torch.equal(env.rand_step(before)["next", "obstacles"], before["obstacles"])
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda td: td.exclude("step_count"), "missing: .*step_count"),
+        (lambda td: td.exclude(("agents", "unshared")), "missing: .*unshared"),
+        (
+            lambda td: td.set("obstacles", torch.arange(18).view(1, 3, 6) == 1),
+            r"map of robot 0 in arena 0: cell \(0, 1\) contradicts the obstacles",
+        ),
+        (
+            lambda td: td.set(("agents", "map"), torch.full_like(td["agents", "map"], -1)),
+            r"map of robot 0 in arena 0: cell \(0, 0\) holds it, unknown",
+        ),
+    ],
+)
+def test_episodes_under_way_that_cannot_be_are_refused(change, message):
+    env = ExplorationEnv(ArenaConfig(height=3, width=6, num_agents=2), num_envs=1)
+    underway = env.reset(given(BOARD), set_state=True).select(*STATE_KEYS)
+    with pytest.raises(ValueError, match=message):
+        env.reset(change(underway), set_state=True)
+
+
+def test_a_state_must_be_given_to_be_set():
+    with pytest.raises(ValueError, match="needs"):
+        ExplorationEnv().reset(set_state=True)
+
+
 # ------------------------------------------------------------------- state_dict
 
 
@@ -325,6 +353,29 @@ def test_state_dict_restores_everything():
         break_when_any_done=False,
     )
     assert (one == two).all()
+
+
+def test_a_restored_state_is_returned_by_the_next_reset_only():
+    env = ExplorationEnv(num_envs=2)
+    env.rollout(3)
+    saved = env.state_dict()
+    env.load_state_dict(saved)
+    assert (env.reset()["step_count"] == 3).all()
+    assert (env.reset()["step_count"] == 0).all()
+    env.load_state_dict(saved)
+    env.step(env.rand_action())
+    assert (env.reset()["step_count"] == 0).all()
+    env.load_state_dict(saved)
+    env.set_seed(5)
+    assert (env.reset()["step_count"] == 0).all()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_environments_can_be_copied_and_pickled(copied):
+    env = make_env(num_envs=2)
+    env.rollout(3)
+    other = copied(env)
+    assert (other.reset() == env.reset()).all()
 
 
 def test_a_foreign_state_dict_is_refused():
@@ -381,11 +432,50 @@ def test_merging_is_reported_to_the_robots_in_the_network():
         ({"terminate_at_coverage": 1.5}, "terminate_at_coverage=1.5"),
         ({"reward": "case3"}, "reward='case3' is unknown.*case2-literal"),
         ({"arenas": "caves"}, "arenas='caves' is unknown.*uniform"),
+        ({"seed": 1.5}, "seed=1.5"),
+        ({"stream": 3}, "stream=3"),
     ],
 )
 def test_arguments_out_of_range_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         ExplorationEnv(**settings)
+
+
+@pytest.mark.parametrize(
+    "reward", [lambda step: step.gain, lambda step: step.gain.float().mean(-1)], ids=["int", "[B]"]
+)
+def test_a_reward_of_another_kind_is_refused(reward):
+    env = ExplorationEnv(num_envs=2, reward=reward)
+    with pytest.raises(ValueError, match=r"reward must return a float tensor of shape \(2, 4\)"):
+        env.rollout(1)
+
+
+@pytest.mark.parametrize(
+    ("drawn", "message"),
+    [
+        ((torch.zeros(1, 5, 5).bool(), torch.zeros(1, 4, 2).long()), r"obstacles .*\(1, 12, 12\)"),
+        ((torch.zeros(1, 12, 12), torch.zeros(1, 4, 2).long()), "obstacles torch.bool"),
+        ((torch.zeros(1, 12, 12).bool(), torch.zeros(1, 3, 2).long()), r"positions .*\(1, 4, 2\)"),
+        ((torch.zeros(1, 12, 12).bool(), torch.zeros(1, 4, 2).long()), "more than one robot"),
+    ],
+)
+def test_generators_that_draw_no_arenas_are_refused(drawn, message):
+    env = ExplorationEnv(arenas=lambda seed, arenas, episodes: drawn)
+    with pytest.raises(ValueError, match=message):
+        env.reset()
+
+
+def test_a_generator_is_given_arena_and_episode_numbers():
+    asked = []
+
+    def generate(seed, arenas, episodes):
+        asked.append((arenas.tolist(), episodes.tolist()))
+        positions = torch.tensor([[[0, 0], [0, 1], [0, 2], [0, 3]]]).expand(len(arenas), 4, 2)
+        return torch.zeros(len(arenas), 12, 12, dtype=torch.bool), positions
+
+    env = ExplorationEnv(arenas=generate, num_envs=2, first_arena=5, max_steps=3)
+    env.rollout(4, break_when_any_done=False)
+    assert asked == [([5, 6], [0, 0]), ([5, 6], [1, 1])]
 
 
 def test_stepping_before_reset_says_so():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -9,7 +11,7 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import ArenaConfig, ExplorationEnv, list_policies, load_policy, make_env
 from marl_explore.models import probabilistic_actor
-from marl_explore.policies import Policy, PolicySpec, policy_info, save_policy
+from marl_explore.policies import FORMAT, Policy, PolicySpec, policy_info, save_policy
 
 
 def a_policy(architecture="mlp", fpr="proximity", **arena):
@@ -56,6 +58,16 @@ def test_a_policy_acts_on_larger_arenas():
     assert env.rollout(3, a_policy())["agents", "action"].shape == (2, 3, 4)
 
 
+def test_a_policy_hears_as_far_as_it_is_told():
+    config = ArenaConfig(communication_range=0.5)
+    policy = a_policy(fpr="relative")
+    policy.use_range(config.communication_cells)
+    td = make_env(config, num_envs=50).rollout(3)[:, -1]
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = policy.team(td.clone())["agents", "action"]
+        assert torch.equal(policy(td.clone())["agents", "action"], expected)
+
+
 def test_a_run_folder_stands_for_its_policy(tmp_path):
     save_policy(a_policy(), tmp_path)
     assert load_policy(tmp_path).spec.fpr == "proximity"
@@ -93,6 +105,13 @@ def test_what_is_no_policy_is_refused(tmp_path):
     save_file({"w": torch.zeros(1)}, foreign)
     with pytest.raises(ValueError, match=r"foreign.safetensors is not a policy of this package"):
         load_policy(foreign)
+    with pytest.raises(ValueError, match="the folder does not exist"):
+        save_policy(a_policy(), tmp_path / "nowhere" / "team.safetensors")
+    for name, spec in (("empty", {}), ("odd", {"arena": {"depth": 3}, "hidden": []})):
+        metadata = {"format": FORMAT, "spec": json.dumps(spec)}
+        save_file({"w": torch.zeros(1)}, tmp_path / f"{name}.safetensors", metadata)
+        with pytest.raises(ValueError, match=f"{name}.safetensors is not a complete policy"):
+            load_policy(tmp_path / f"{name}.safetensors")
     whole = save_policy(a_policy(), tmp_path / "whole.safetensors").read_bytes()
     (tmp_path / "cut.safetensors").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"cut.safetensors is not a readable policy file"):

@@ -39,7 +39,7 @@ def test_train_then_evaluate(tmp_path):
     assert [int(frames) for frames, _ in rewards] == [80, 160]
     assert load_policy(run).spec.arena.num_agents == 2
 
-    arena = "--height 6 --width 6 --num-agents 2 --num-arenas 5 --steps 20".split()
+    arena = "--num-arenas 5 --steps 20".split()  # the arena is the policy's own
     out = tmp_path / "table"
     evaluated = recipe("evaluate.py", run, "nearest", "random", *arena, "--out", out)
     assert evaluated.returncode == 0, evaluated.stderr
@@ -88,7 +88,7 @@ def test_minimal_happo_learns_within_100_lines():
     assert lengths[-1] < 0.8 * lengths[0]
 
 
-@pytest.mark.parametrize("name", ["train.py", "evaluate.py", "demo.py"])
+@pytest.mark.parametrize("name", ["train.py", "evaluate.py", "demo.py", "minimal_happo.py"])
 def test_help(name):
     done = recipe(name, "--help")
     assert done.returncode == 0
@@ -107,6 +107,9 @@ def test_help(name):
         (["evaluate.py"], "name at least one policy"),
         (["evaluate.py", "random", "--num-arenas", "0"], "num_arenas=0"),
         (["evaluate.py", "random", "--steps", "-1"], "steps=-1"),
+        (["train.py", "fast", "--threads", "0"], "threads=0"),
+        (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
+        (["demo.py", "--episodes", "1"], "episodes=1"),
     ],
 )
 def test_wrong_input_is_one_error_and_leaves_nothing(tmp_path, arguments, message):
