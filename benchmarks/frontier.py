@@ -11,7 +11,7 @@ import time
 import torch
 
 from benchmarks.baselines import astar_table, bfs_table
-from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore import ArenaConfig, ExplorationEnv, native
 from marl_explore.core.frontier import feature_table
 from marl_explore.planners import PLANNERS
 
@@ -33,7 +33,7 @@ def seconds(function) -> float:
 
 
 def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[str, float]:
-    """Median microseconds per observation: ours, A* per frontier, BFS per robot; interleaved."""
+    """Median microseconds per observation of ours and of plain Python, interleaved."""
     maps, positions = observations(num_envs)
     few = torch.linspace(0, len(maps) - 1, min(sample, len(maps))).long()
     plain = [
@@ -41,10 +41,12 @@ def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[st
         for grid, cell in zip(maps[few].tolist(), positions[few].tolist(), strict=True)
     ]
     contenders = {
-        "ours": (lambda: feature_table(maps, positions), len(maps)),
+        "torch": (lambda: feature_table(maps, positions), len(maps)),
         "A* per frontier": (lambda: [astar_table(*p) for p in plain], len(plain)),
         "BFS per robot": (lambda: [bfs_table(*p) for p in plain], len(plain)),
     }
+    if native.missing() is None:
+        contenders["native"] = (lambda: native.feature_table(maps, positions), len(maps))
     times: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in range(repeats):
         for name, (function, count) in contenders.items():
@@ -56,8 +58,11 @@ def main() -> None:
     torch.set_num_threads(1)
     result = measure()
     print(f"FPR, 512 arenas x 4 robots, 12 x 12 cells, one thread, torch {torch.__version__}")
+    ours = [name for name in ("torch", "native") if name in result]
+    print(f"{'us per observation':>36}" + "".join(f"{'over ' + name:>14}" for name in ours))
     for name, value in result.items():
-        print(f"{name:>16}: {value:9.2f} us per observation, {value / result['ours']:7.1f} x ours")
+        ratios = "".join(f"{value / result[other]:14.1f}" for other in ours)
+        print(f"{name:>18}{value:18.2f}{ratios}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A slow, plain reading of SPEC.md's rules: the oracle for tests of the fast environment.
+"""A slow, plain reading of docs/environment.md: the oracle for tests of the fast environment.
 
 Nothing here is clever on purpose. Cells are (row, col) tuples, row 0 is north, and a grid is a
 list of rows. Only the standard library is used, and nothing of the package under test.
@@ -22,7 +22,7 @@ FOUR = [(-1, 0), (0, 1), (1, 0), (0, -1)]
 
 @dataclass(frozen=True)
 class Rules:
-    """The numbers that define the task (SPEC, Arena, Sensing and Communication)."""
+    """The numbers that define the task (Arena, Sensing and Communication)."""
 
     height: int
     width: int
@@ -34,7 +34,7 @@ class Rules:
 
 @dataclass
 class State:
-    """One arena at one time (SPEC, Sensing and Communication)."""
+    """One arena at one time (Sensing and Communication)."""
 
     obstacles: list[list[bool]]
     positions: list[tuple[int, int]]
@@ -46,7 +46,7 @@ class State:
 
 @dataclass
 class Step:
-    """What a step did, one entry per robot (SPEC, Actions, Communication and Rewards)."""
+    """What a step did, one entry per robot (Actions, Communication and Rewards)."""
 
     dangerous: list[bool]
     merged: list[bool]  # was a member of a network in this step
@@ -59,17 +59,17 @@ class Step:
 
 
 def inside(grid, cell) -> bool:
-    """Whether the cell lies in the H x W grid (SPEC, Arena)."""
+    """Whether the cell lies in the H x W grid (Arena)."""
     return 0 <= cell[0] < len(grid) and 0 <= cell[1] < len(grid[0])
 
 
 def shifted(cell, direction) -> tuple[int, int]:
-    """The cell one move further in a (dr, dc) direction (SPEC, Actions)."""
+    """The cell one move further in a (dr, dc) direction (Actions)."""
     return (cell[0] + direction[0], cell[1] + direction[1])
 
 
 def squeezes(blocked, cell, direction) -> bool:
-    """Whether a diagonal move has both side cells blocked: the diagonal rule (SPEC, Actions)."""
+    """Whether a diagonal move has both side cells blocked: the diagonal rule (Actions)."""
     dr, dc = direction
     if dr == 0 or dc == 0:
         return False
@@ -78,7 +78,7 @@ def squeezes(blocked, cell, direction) -> bool:
 
 
 def may_move(passable, blocked, cell, direction) -> bool:
-    """Whether one move ends in the grid on a passable cell by the diagonal rule (SPEC, Arena)."""
+    """Whether one move ends in the grid on a passable cell by the diagonal rule (Arena)."""
     target = shifted(cell, direction)
     if not inside(passable, target) or not passable[target[0]][target[1]]:
         return False
@@ -86,7 +86,7 @@ def may_move(passable, blocked, cell, direction) -> bool:
 
 
 def distances(passable, blocked, start, avoid=None) -> dict[tuple[int, int], int]:
-    """Breadth-first lengths of shortest 8-connected paths from start (SPEC, Arena and FPR)."""
+    """Breadth-first lengths of shortest 8-connected paths from start (Arena and FPR)."""
     found = {start: 0}
     queue = deque([start])
     while queue:
@@ -102,12 +102,12 @@ def distances(passable, blocked, start, avoid=None) -> dict[tuple[int, int], int
 
 
 def free_cells(obstacles) -> list[list[bool]]:
-    """The grid of cells that are no static obstacles (SPEC, Arena)."""
+    """The grid of cells that are no static obstacles (Arena)."""
     return [[not obstacle for obstacle in row] for row in obstacles]
 
 
 def connected(obstacles) -> bool:
-    """Whether every free cell can be reached from every other (SPEC, Arena)."""
+    """Whether every free cell can be reached from every other (Arena)."""
     free = free_cells(obstacles)
     cells = [(r, c) for r, row in enumerate(free) for c, is_free in enumerate(row) if is_free]
     if len(cells) <= 1:
@@ -119,7 +119,7 @@ def connected(obstacles) -> bool:
 
 
 def fov_radius(sensing_range, cell_size) -> int:
-    """The largest k whose square lies in the sensing disc, 0 if none does (SPEC, Sensing)."""
+    """The largest k whose square lies in the sensing disc, 0 if none does (Sensing)."""
     k = 0
     while (k + 1 + 0.5) * math.sqrt(2) * cell_size <= sensing_range + TOLERANCE:
         k += 1
@@ -127,19 +127,19 @@ def fov_radius(sensing_range, cell_size) -> int:
 
 
 def hidden(rules, obstacles, position, offset) -> bool:
-    """Whether occlusion hides the diagonal neighbour at this offset (SPEC, Sensing)."""
+    """Whether occlusion hides the diagonal neighbour at this offset (Sensing)."""
     is_diagonal_neighbour = abs(offset[0]) == 1 and abs(offset[1]) == 1
     return rules.occlusion and is_diagonal_neighbour and squeezes(obstacles, position, offset)
 
 
 def view_offsets(rules) -> list[tuple[int, int]]:
-    """The (dr, dc) offsets of the square field of view, row by row (SPEC, Sensing)."""
+    """The (dr, dc) offsets of the square field of view, row by row (Sensing)."""
     span = range(-rules.fov_radius, rules.fov_radius + 1)
     return [(dr, dc) for dr in span for dc in span]
 
 
 def field_of_view(rules, state, robot) -> list[list[int]]:
-    """What the robot sees now: 1 obstacle, other robot, outside or hidden (SPEC, Sensing)."""
+    """What the robot sees now: 1 obstacle, other robot, outside or hidden (Sensing)."""
     size = 2 * rules.fov_radius + 1
     position = state.positions[robot]
     others = [p for other, p in enumerate(state.positions) if other != robot]
@@ -156,7 +156,7 @@ def field_of_view(rules, state, robot) -> list[list[int]]:
 
 
 def sensed(rules, obstacles, position, map_) -> list[list[int]]:
-    """A copy of the map with what is sensed from the position written in (SPEC, Sensing)."""
+    """A copy of the map with what is sensed from the position written in (Sensing)."""
     result = copied(map_)
     for offset in view_offsets(rules):
         cell = shifted(position, offset)
@@ -166,12 +166,12 @@ def sensed(rules, obstacles, position, map_) -> list[list[int]]:
 
 
 def copied(grid) -> list:
-    """A copy of a list of lists, so that nothing is shared between states (no SPEC section)."""
+    """A copy of a list of lists, so that nothing is shared between states ."""
     return [list(row) for row in grid]
 
 
 def known_cells(map_) -> int:
-    """|M|, the number of known cells of a map (SPEC, Rewards)."""
+    """|M|, the number of known cells of a map (Rewards)."""
     return sum(1 for row in map_ for value in row if value != UNKNOWN)
 
 
@@ -179,7 +179,7 @@ def known_cells(map_) -> int:
 
 
 def target_cells(obstacles, positions) -> list[list[bool]]:
-    """Free cells some robot can reach, and their 4-neighbours inside (SPEC, Coverage)."""
+    """Free cells some robot can reach, and their 4-neighbours inside (Coverage)."""
     free = free_cells(obstacles)
     targets = [[False for _ in row] for row in obstacles]
     for position in positions:
@@ -192,13 +192,13 @@ def target_cells(obstacles, positions) -> list[list[bool]]:
 
 
 def known_targets(map_, targets) -> int:
-    """The number of target cells that the map knows (SPEC, Coverage)."""
+    """The number of target cells that the map knows (Coverage)."""
     cells = [(r, c) for r, row in enumerate(targets) for c, target in enumerate(row) if target]
     return sum(1 for r, c in cells if map_[r][c] != UNKNOWN)
 
 
 def complete(map_, targets) -> bool:
-    """Whether the map knows every target cell (SPEC, Coverage)."""
+    """Whether the map knows every target cell (Coverage)."""
     return known_targets(map_, targets) == sum(row.count(True) for row in targets)
 
 
@@ -206,7 +206,7 @@ def complete(map_, targets) -> bool:
 
 
 def visible_danger(state, robot, action) -> bool:
-    """Whether a move is outside, into an obstacle or robot, or squeezes (SPEC, Actions)."""
+    """Whether a move is outside, into an obstacle or robot, or squeezes (Actions)."""
     position = state.positions[robot]
     target = shifted(position, COMPASS[action])
     if not may_move(free_cells(state.obstacles), state.obstacles, position, COMPASS[action]):
@@ -215,7 +215,7 @@ def visible_danger(state, robot, action) -> bool:
 
 
 def contended(state, actions, robot) -> bool:
-    """Whether another chosen move has the same target or the same midpoint (SPEC, Actions)."""
+    """Whether another chosen move has the same target or the same midpoint (Actions)."""
     start = state.positions[robot]
     target = shifted(start, COMPASS[actions[robot]])
     for other, action in enumerate(actions):
@@ -229,7 +229,7 @@ def contended(state, actions, robot) -> bool:
 
 
 def dangers(state, actions) -> list[bool]:
-    """Which robots chose a dangerous move, all judged at time t (SPEC, Actions)."""
+    """Which robots chose a dangerous move, all judged at time t (Actions)."""
     return [
         action < STAY and (visible_danger(state, robot, action) or contended(state, actions, robot))
         for robot, action in enumerate(actions)
@@ -237,7 +237,7 @@ def dangers(state, actions) -> list[bool]:
 
 
 def in_range(rules, state) -> list[list[bool]]:
-    """NET, which robots are within r_c of which, itself included (SPEC, NET)."""
+    """NET, which robots are within r_c of which, itself included (NET)."""
     return [
         [math.dist(p, q) <= rules.communication_cells + TOLERANCE for q in state.positions]
         for p in state.positions
@@ -245,7 +245,7 @@ def in_range(rules, state) -> list[list[bool]]:
 
 
 def action_mask(rules, state) -> list[list[bool]]:
-    """a_AVAIL, True where the action is allowed (SPEC, Actions)."""
+    """a_AVAIL, True where the action is allowed (Actions)."""
     near = in_range(rules, state)
     robots = range(len(state.positions))
     mask = []
@@ -258,7 +258,7 @@ def action_mask(rules, state) -> list[list[bool]]:
 
 
 def networks(near, actions) -> list[list[int]]:
-    """The connected components of two or more communicators (SPEC, Communication)."""
+    """The connected components of two or more communicators (Communication)."""
     nodes = [robot for robot, action in enumerate(actions) if action == COMMUNICATE]
     found = []
     placed = set()
@@ -277,7 +277,7 @@ def networks(near, actions) -> list[list[int]]:
 
 
 def union(maps) -> list[list[int]]:
-    """The map that knows whatever one of the maps knows (SPEC, Communication)."""
+    """The map that knows whatever one of the maps knows (Communication)."""
     result = copied(maps[0])
     for map_ in maps:
         for r, row in enumerate(map_):
@@ -291,7 +291,7 @@ def union(maps) -> list[list[int]]:
 
 
 def reset(rules, obstacles, positions) -> State:
-    """The arena at step 0, every robot having sensed once (SPEC, Sensing)."""
+    """The arena at step 0, every robot having sensed once (Sensing)."""
     positions = [tuple(position) for position in positions]
     robots = range(rules.num_agents)
     blank = [[UNKNOWN] * rules.width for _ in range(rules.height)]
@@ -308,7 +308,7 @@ def reset(rules, obstacles, positions) -> State:
 
 
 def step(rules, state, actions) -> tuple[State, Step]:
-    """Moves, then sensing, then merging, then rewards, then counters (SPEC, Actions to Rewards)."""
+    """Moves, then sensing, then merging, then rewards, then counters (Actions to Rewards)."""
     robots = range(rules.num_agents)
     dangerous = dangers(state, actions)
 
@@ -362,14 +362,14 @@ def step(rules, state, actions) -> tuple[State, Step]:
 
 
 def case1(before, after, i, dangerous) -> float:
-    """The first reward of robot i; a merged map is its map after the step (SPEC, Rewards)."""
+    """The first reward of robot i; a merged map is its map after the step (Rewards)."""
     if dangerous[i]:
         return -100.0
     return float(known_cells(after.maps[i]) - known_cells(before.maps[i]))
 
 
 def case2(rules, before, after, i, actions, dangerous, peers, literal) -> float:
-    """The second reward of robot i, `after` still holding q before its reset (SPEC, Rewards)."""
+    """The second reward of robot i, `after` still holding q before its reset (Rewards)."""
     if dangerous[i]:
         return -10.0
     area = rules.height * rules.width
@@ -385,7 +385,7 @@ def case2(rules, before, after, i, actions, dangerous, peers, literal) -> float:
 
 
 def team(before, after, dangerous) -> float:
-    """Our reward, the same number for every robot (SPEC, Rewards)."""
+    """Our reward, the same number for every robot (Rewards)."""
     targets = target_cells(before.obstacles, before.positions)
     growth = max(known_cells(m) for m in after.maps) - max(known_cells(m) for m in before.maps)
     done = any(complete(map_, targets) for map_ in after.maps)
@@ -396,7 +396,7 @@ def team(before, after, dangerous) -> float:
 
 
 def frontiers(map_) -> list[tuple[int, int]]:
-    """Known-free cells with an unknown 4-neighbour inside the arena, row by row (SPEC, FPR)."""
+    """Known-free cells with an unknown 4-neighbour inside the arena, row by row (FPR)."""
     result = []
     for r, row in enumerate(map_):
         for c, value in enumerate(row):
@@ -408,7 +408,7 @@ def frontiers(map_) -> list[tuple[int, int]]:
 
 
 def trajectories(map_, position) -> list[tuple[int, int]]:
-    """(First direction, length) of the path to each reachable frontier (SPEC, FPR)."""
+    """(First direction, length) of the path to each reachable frontier (FPR)."""
     position = tuple(position)
     passable = [[value == FREE for value in row] for row in map_]
     blocked = [[value == OCCUPIED for value in row] for row in map_]
@@ -429,7 +429,7 @@ def trajectories(map_, position) -> list[tuple[int, int]]:
 
 
 def feature_table(map_, position, normalize) -> list[list[float]]:
-    """The 8 x [n, mu, sigma] table of trajectories per first direction (SPEC, FPR)."""
+    """The 8 x [n, mu, sigma] table of trajectories per first direction (FPR)."""
     if normalize not in ("relative", "proximity", "absolute", None):
         raise ValueError(f"unknown normalize: {normalize!r}")
     found = trajectories(map_, position)

@@ -1,4 +1,4 @@
-"""Uniform arenas: a pure function of (stream, seed, arena, episode), as SPEC draws them."""
+"""Uniform arenas: a pure function of (stream, seed, arena, episode)."""
 
 from __future__ import annotations
 

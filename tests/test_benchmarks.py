@@ -24,5 +24,5 @@ def test_baselines_count_the_same_trajectories():
 
 def test_the_frontier_benchmark_runs():
     times = frontier.measure(num_envs=4, repeats=1, sample=4)
-    assert set(times) == {"ours", "A* per frontier", "BFS per robot"}
+    assert {"torch", "A* per frontier", "BFS per robot"} <= set(times)
     assert all(value > 0 for value in times.values())

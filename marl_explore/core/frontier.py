@@ -42,7 +42,7 @@ def feature_table(
     Args:
         grid: maps, int8 [*B, H, W], -1 unknown, 0 free, 1 occupied.
         position: int64 [*B, 2].
-        normalize: "relative", "proximity", "absolute" or None (raw); see SPEC, FPR.
+        normalize: "relative", "proximity", "absolute" or None (raw); see docs/environment.md, FPR.
         levels: longest path that is looked for, without host synchronisation; None: all.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The paper's two rewards, their literal variant, and the team reward (SPEC, Rewards)."""
+"""The paper's two rewards, their literal variant, and the team reward (docs/environment.md)."""
 
 from __future__ import annotations
 

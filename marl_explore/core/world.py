@@ -95,7 +95,7 @@ def resume(
 def advance(
     config: ArenaConfig, state: WorldState, action: Tensor
 ) -> tuple[WorldState, StepRecord]:
-    """One step of all robots at once: move, sense, merge (SPEC, Actions and Communication).
+    """One step of all robots at once: move, sense, merge (docs/environment.md, Actions).
 
     Args:
         config: sizes and ranges.
