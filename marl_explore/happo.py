@@ -115,12 +115,21 @@ class HAPPOLoss(LossModule):
     @property
     def in_keys(self) -> list[NestedKey]:
         """Entries that ``forward`` reads, given an advantage; a factor is optional."""
-        keys = [self.tensor_keys.advantage, self.tensor_keys.value_target]
-        for name in self.names:
-            keys += self._actor_keys(name)
-        if self.critic is not None:
-            keys += self.critic.in_keys
-        return list(dict.fromkeys(keys))  # in order, each once
+        keys = [key for name in self.names for key in self.actor_keys(name)]
+        keys += self.critic_keys
+        in_order = dict.fromkeys(keys)  # each once
+        del in_order[self.tensor_keys.factor]
+        return list(in_order)
+
+    def actor_keys(self, name: str) -> list[NestedKey]:
+        """Entries that ``actor_loss`` reads: minibatches need no others. The factor is optional."""
+        return [*self._own_keys(name), self.tensor_keys.advantage, self.tensor_keys.factor]
+
+    @property
+    def critic_keys(self) -> list[NestedKey]:
+        """Entries that ``critic_loss`` reads: minibatches need no others."""
+        read = self.critic.in_keys if self.critic is not None else []
+        return [*read, self.tensor_keys.value_target]
 
     @property
     def out_keys(self) -> list[str]:
@@ -279,7 +288,7 @@ class HAPPOLoss(LossModule):
             raise ValueError(f"actor {name!r} is unknown: the actors are {self.names}")
         return self.actor_losses[name]
 
-    def _actor_keys(self, name: str) -> list[NestedKey]:
+    def _own_keys(self, name: str) -> list[NestedKey]:
         """Entries an actor's loss reads beside the advantage."""
         loss = self._loss_of(name)
         keys = loss.tensor_keys
@@ -289,7 +298,7 @@ class HAPPOLoss(LossModule):
 
     def _view(self, tensordict: TensorDictBase, name: str) -> TensorDictBase:
         """The entries of one actor: its slice of a stacked group, or its own group."""
-        keys = self._actor_keys(name)
+        keys = self._own_keys(name)
         if name not in self.views:
             return tensordict.select(*keys)
         group, index = self.views[name]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import nn
 from torchrl.envs import EnvBase, RewardSum
 from torchrl.modules import PopArtValueNorm
@@ -70,12 +70,10 @@ class Trainer:
         )
         self.loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda)
         self.optimizers = {
-            name: torch.optim.Adam(loss.parameters(), config.actor_lr, eps=config.adam_eps)
+            name: _adam(loss, config.actor_lr, config.adam_eps)
             for name, loss in self.loss.actor_losses.items()
         }
-        self.optimizers["critic"] = torch.optim.Adam(
-            critic.parameters(), config.critic_lr, eps=config.adam_eps
-        )
+        self.optimizers["critic"] = _adam(critic, config.critic_lr, config.adam_eps)
         self.schedulers = [
             torch.optim.lr_scheduler.LinearLR(opt, 1.0, FINAL_LR_SHARE, config.updates)
             for opt in self.optimizers.values()
@@ -105,27 +103,32 @@ class Trainer:
         """One HAPPO update on a rollout [B, T]: every actor in turn, then the critic."""
         batch = self.loss.estimate_advantage(batch).reshape(-1)
         logs: dict[str, list[float]] = {}
-        for name in self.loss.update_order(self.generator):
-            for part in self._minibatches(batch):
+        order = self.loss.update_order(self.generator)
+        for previous, name in zip([None, *order], order, strict=False):
+            if previous is not None:
+                self.loss.update_factor(batch, previous)
+            for part in self._minibatches(batch, self.loss.actor_keys(name)):
                 output = self.loss.actor_loss(part, name)
                 self._step(name, output["loss_objective"] + output["loss_entropy"])
             _log(logs, output, ("entropy", "kl_approx", "clip_fraction"))
-            batch = self.loss.update_factor(batch, name)
-        for part in self._minibatches(batch):
+        for part in self._minibatches(batch, self.loss.critic_keys):
             output = self.loss.critic_loss(part)
             self._step("critic", output["loss_critic"])
         _log(logs, output, ("loss_critic", "explained_variance"))
         for scheduler in self.schedulers:
             scheduler.step()
-        factor = batch["factor"]
+        factor = batch.get("factor", torch.ones(1))  # one robot has none
         return {key: sum(values) / len(values) for key, values in logs.items()} | {
             "factor_min": float(factor.min()),
             "factor_max": float(factor.max()),
             "factor_ess": float(factor.sum() ** 2 / factor.square().sum() / factor.numel()),
         }
 
-    def _minibatches(self, batch: TensorDictBase) -> Iterable[TensorDictBase]:
-        """All passes over the batch, shuffled and split anew in each."""
+    def _minibatches(
+        self, batch: TensorDictBase, keys: list[NestedKey]
+    ) -> Iterable[TensorDictBase]:
+        """All passes over some entries of the batch, shuffled and split anew in each."""
+        batch = batch.select(*keys, strict=False)
         for _ in range(self.config.ppo_epochs):
             if self.config.minibatches == 1:
                 yield batch
@@ -168,6 +171,10 @@ def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
             "final_known_ratio": float(known.mean()),
         }
     return metrics
+
+
+def _adam(network: nn.Module, lr: float, eps: float) -> torch.optim.Adam:
+    return torch.optim.Adam(network.parameters(), lr, eps=eps, fused=True)
 
 
 def _log(logs: dict[str, list[float]], output: TensorDictBase, keys: Iterable[str]) -> None:
