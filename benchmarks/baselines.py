@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import random
 from collections import deque
 
 COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
@@ -87,3 +88,46 @@ def bfs_table(grid, position):
                 found[following] = (d if first < 0 else first, length + 1)
                 queue.append(following)
     return table([found[cell] for cell in frontiers(grid) if cell in found and cell != position])
+
+
+class PythonExploration:
+    """A single arena as dictionaries and lists: what a first PettingZoo environment looks like.
+
+    Four robots on 12 x 12 cells take random moves, sense 3 x 3 cells, and get the frontier table by
+    one A* per frontier.
+    """
+
+    def __init__(self, seed: int, side: int = 12, robots: int = 4, obstacles: int = 14) -> None:
+        self.random = random.Random(seed)
+        cells = [(r, c) for r in range(side) for c in range(side)]
+        drawn = self.random.sample(cells, obstacles + robots)
+        self.obstacles, self.positions = set(drawn[:obstacles]), drawn[obstacles:]
+        self.side = side
+        self.maps = [[[-1] * side for _ in range(side)] for _ in range(robots)]
+        self.sense()
+
+    def inside(self, cell) -> bool:
+        return 0 <= cell[0] < self.side and 0 <= cell[1] < self.side
+
+    def sense(self):
+        for grid, (r, c) in zip(self.maps, self.positions, strict=True):
+            for cell in ((r + dr, c + dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)):
+                if self.inside(cell):
+                    grid[cell[0]][cell[1]] = int(cell in self.obstacles)
+
+    def step(self):
+        """Random moves; the observations of all robots."""
+        for robot, (r, c) in enumerate(self.positions):
+            dr, dc = self.random.choice(COMPASS)
+            target = (r + dr, c + dc)
+            if (
+                self.inside(target)
+                and target not in self.obstacles
+                and target not in self.positions
+            ):
+                self.positions[robot] = target
+        self.sense()
+        return {
+            f"robot_{i}": astar_table(grid, position)
+            for i, (grid, position) in enumerate(zip(self.maps, self.positions, strict=True))
+        }

@@ -5,12 +5,10 @@ python -m benchmarks.frontier
 
 from __future__ import annotations
 
-import statistics
-import time
-
 import torch
 
 from benchmarks.baselines import astar_table, bfs_table
+from benchmarks.timing import medians
 from marl_explore import ArenaConfig, ExplorationEnv, native
 from marl_explore.core.frontier import feature_table
 from marl_explore.planners import PLANNERS
@@ -23,13 +21,6 @@ def observations(num_envs: int, steps: int = 40) -> tuple[torch.Tensor, torch.Te
     rows = torch.arange(num_envs)
     sample = rollout[rows, rows % steps]["agents"]
     return sample["map"].flatten(0, 1), sample["position"].flatten(0, 1)
-
-
-def seconds(function) -> float:
-    """Time of one call."""
-    start = time.perf_counter()
-    function()
-    return time.perf_counter() - start
 
 
 def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[str, float]:
@@ -47,11 +38,8 @@ def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[st
     }
     if native.missing() is None:
         contenders["native"] = (lambda: native.feature_table(maps, positions), len(maps))
-    times: dict[str, list[float]] = {name: [] for name in contenders}
-    for _ in range(repeats):
-        for name, (function, count) in contenders.items():
-            times[name].append(seconds(function) / count * 1e6)
-    return {name: statistics.median(values) for name, values in times.items()}
+    seconds = medians({name: function for name, (function, _) in contenders.items()}, repeats)
+    return {name: seconds[name] / count * 1e6 for name, (_, count) in contenders.items()}
 
 
 def main() -> None:

@@ -31,5 +31,6 @@ def make_collector(
         frames_per_batch=frames_per_batch,
         total_frames=total_frames,
         device=env.device,
+        trust_policy=True,  # planners have no parameters to tell their device by
         auto_register_policy_transforms=False,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from benchmarks import frontier
+from benchmarks import environment, frontier
 from benchmarks.baselines import astar_table, bfs_table
 from marl_explore.core.frontier import feature_table
 
@@ -26,3 +26,9 @@ def test_the_frontier_benchmark_runs():
     times = frontier.measure(num_envs=4, repeats=1, sample=4)
     assert {"torch", "A* per frontier", "BFS per robot"} <= set(times)
     assert all(value > 0 for value in times.values())
+
+
+def test_the_environment_benchmark_runs():
+    rates = environment.measure(num_envs=2, repeats=1)
+    assert {"ours, auto", "ours, torch", "collector", "PettingZoo-style Python"} <= set(rates)
+    assert all(rate > 0 for rate in rates.values())

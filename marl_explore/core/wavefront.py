@@ -37,23 +37,26 @@ def flood(
             host synchronisation); None: as long as there are any.
 
     Returns:
-        labels uint8 and distances int16 (0 where never reached), both [H+2, W+2, M].
+        labels uint8 and distances int32 (0 where never reached), both [H+2, W+2, M].
     """
     front = front & fresh
     labels = front.clone()
     fresh = fresh & _closed(front)
-    # how many levels each cell waited to be reached; a byte would overflow in long mazes
-    waited = (fresh & 1).to(torch.int16)
+    # how many levels each cell waited to be reached; a byte overflows in long mazes
+    narrow = fresh[..., 0].numel() < 256
+    waited = (fresh & 1).to(torch.uint8 if narrow else torch.int32)
+    sideways, upright = torch.zeros_like(front), torch.zeros_like(front)
     level = 1
     while levels is None or level < levels:
         level += 1
-        front = _spread(front, passable).bitwise_and_(fresh)
-        if levels is None and level % 2 == 0 and not front.any():
+        _spread(front, passable, sideways, upright)
+        front &= fresh
+        if levels is None and level % 2 == 0 and not front.amax():
             break
         labels |= front
         fresh &= _closed(front)
         waited += fresh & 1
-    return labels, (waited + 1).mul_(labels != 0)
+    return labels, (waited.to(torch.int32) + 1).mul_(labels != 0)
 
 
 def _closed(front: Tensor) -> Tensor:
@@ -61,22 +64,19 @@ def _closed(front: Tensor) -> Tensor:
     return front.clamp_max(1).sub_(1)
 
 
-def _spread(front: Tensor, passable: Tensor) -> Tensor:
-    """OR of the labels of the eight neighbours and the cell itself, under the diagonal rule.
+def _spread(front: Tensor, passable: Tensor, sideways: Tensor, upright: Tensor) -> None:
+    """OR every cell with the labels of its eight neighbours, under the diagonal rule, in place.
 
     A diagonal is two straight half steps; one order of them must not cross an impassable cell.
+    ``sideways`` and ``upright`` are work space, zero on the border.
     """
-    sideways = front.clone()
-    sideways[:, 1:] |= front[:, :-1]
-    sideways[:, :-1] |= front[:, 1:]
+    inner = slice(1, -1)
+    torch.bitwise_or(front[:, :-2], front[:, 2:], out=sideways[:, inner])
+    sideways |= front
     sideways &= passable
-    upright = torch.zeros_like(front)
-    upright[1:] |= front[:-1]
-    upright[:-1] |= front[1:]
+    torch.bitwise_or(front[:-2], front[2:], out=upright[inner])
     upright &= passable
-    spread = sideways.clone()
-    spread[1:] |= sideways[:-1]
-    spread[:-1] |= sideways[1:]
-    spread[:, 1:] |= upright[:, :-1]
-    spread[:, :-1] |= upright[:, 1:]
-    return spread
+    torch.bitwise_or(sideways[:-2], sideways[2:], out=front[inner])
+    front |= sideways
+    front[:, inner] |= upright[:, :-2]
+    front[:, inner] |= upright[:, 2:]
