@@ -23,6 +23,8 @@ lint: $(VENV)/installed-dev
 
 bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.frontier
+	$(BIN)/python -m benchmarks.environment
+	$(BIN)/python -m benchmarks.memory
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
