@@ -1,5 +1,5 @@
 # make demo   learn, compare, draw: a few minutes        make test   the core test suite
-# make lint   format, lint, types, import contracts       make bench  speed measurements
+# make lint   format, lint, types, import contracts       make speed  speed measurements
 
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # One thread per process: small batches gain nothing from more.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint speed clean
 
 demo: $(VENV)/installed
 	$(BIN)/python recipes/demo.py
@@ -21,7 +21,7 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(VENV)/installed-dev
+speed: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.frontier
 	$(BIN)/python -m benchmarks.environment
 	$(BIN)/python -m benchmarks.memory
