@@ -29,7 +29,7 @@ speed: $(VENV)/installed-dev
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-# torch first and by its exact version: a range may bring a build for GPUs
+# torch first and by its exact version, so that no later step chooses another build
 $(VENV)/installed: pyproject.toml constraints.txt marl_explore/native/frontier.c | $(BIN)/python
 	$(BIN)/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
 	$(BIN)/python -m pip install -q -c constraints.txt -e .

@@ -37,7 +37,9 @@ def measure(num_envs: int, robots: int, side: int, steps: int = 10) -> float:
 def main() -> None:
     for name, case in CASES.items():
         code = f"from benchmarks.memory import measure; print(measure{case})"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True
+        )
         print(f"{name}: {float(done.stdout):.0f} MB")
 
 

@@ -229,6 +229,12 @@ class TrainConfig:
                 0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"
             )
         _require(
+            self.batch_frames >= 2,
+            "rollout_steps",
+            self.rollout_steps,
+            "num_envs x rollout_steps must be at least 2, to normalise advantages over",
+        )
+        _require(
             self.updates >= 1,
             "episodes",
             self.episodes,

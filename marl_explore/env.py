@@ -130,8 +130,9 @@ class ExplorationEnv(EnvBase):
             self._replace_rows(rows, *(_take(part, rows) for part in (given, last)))
         elif not self._restored or flagged is not None:
             rows = self._rows(flagged)
-            fresh = self._draw(rows)
-            self._replace_rows(rows, fresh, _at_rest(fresh, first=True))
+            if len(rows):
+                fresh = self._draw(rows)
+                self._replace_rows(rows, fresh, _at_rest(fresh, first=True))
         self._restored = False  # else: the state that was loaded is the one to go on from
         never = torch.zeros_like(self._now[0].step_count, dtype=torch.bool)
         return self._observe(done=never, terminated=never.clone(), truncated=never.clone())
@@ -304,15 +305,30 @@ class ExplorationEnv(EnvBase):
                 f"state_dict is of {len(state_dict['episode'])} arenas, "
                 f"this environment has {self.num_envs}"
             )
-        self._seed = state_dict["seed"]
-        self._episode = state_dict["episode"].to(self.device)
-        if "map" in state_dict:
-            self._check_entries({key: state_dict[name] for key, name in _WORLD_KEYS.items()})
-            self._state = (
+        state = None
+        if len(names) > 2:
+            # everything that follows from something else must fit what would be made here
+            blank = self._blank()
+            for name, like in {**blank[0]._asdict(), **blank[1]._asdict()}.items():
+                entry = state_dict[name]
+                if entry.dtype != like.dtype or entry.shape != like.shape:
+                    raise ValueError(
+                        f"state_dict: {name!r} must be {like.dtype} of shape {tuple(like.shape)}, "
+                        f"got {entry.dtype} of shape {tuple(entry.shape)}"
+                    )
+            state = (
                 WorldState(*(state_dict[name].to(self.device) for name in WorldState._fields)),
                 LastStep(*(state_dict[name].to(self.device) for name in LastStep._fields)),
             )
-            self._restored = True
+        self._seed = state_dict["seed"]
+        self._episode = state_dict["episode"].to(self.device)
+        self._state, self._restored = state, state is not None
+
+    def _blank(self) -> tuple[WorldState, LastStep]:
+        """A state of empty arenas, for its dtypes and shapes."""
+        entries = self.full_state_spec.zero()
+        state = world.start(self.config, entries["obstacles"], entries["agents", "position"])
+        return state, _at_rest(state, first=True)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ExplorationEnv:
         """Move the state along when the environment moves to another device."""

@@ -17,7 +17,7 @@ from marl_explore.core.mapping import target_cells
 from marl_explore.env import ExplorationEnv
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
 from marl_explore.planners import PLANNERS
-from marl_explore.policies import Policy, list_policies, load_policy
+from marl_explore.policies import load_policy
 
 Actor = Callable[[TensorDictBase], TensorDictBase]
 
@@ -35,22 +35,19 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
         return PLANNERS[name](config)
     try:
         policy = load_policy(name)
-        policy.use_range(config.communication_cells)
-        return policy
     except ValueError as error:
-        raise ValueError(
-            f"{error}; planners: {sorted(PLANNERS)}, bundled policies: {list_policies()}"
-        ) from error
+        raise ValueError(f"{error}; planners: {sorted(PLANNERS)}") from error
+    policy.check(config.num_agents, config.fov_size)
+    policy.use_range(config.communication_cells)
+    return policy
 
 
 def trained_arena(name: str) -> ArenaConfig | None:
-    """The arena a trained policy was trained on; None for a planner.
-
-    Raises:
-        ValueError: for an unknown name.
-    """
-    policy = find_policy(name, ArenaConfig())
-    return policy.spec.arena if isinstance(policy, Policy) else None
+    """The arena a policy was trained on; None for what is no policy, such as a planner's name."""
+    try:
+        return load_policy(name).spec.arena
+    except ValueError:
+        return None
 
 
 def play(

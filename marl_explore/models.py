@@ -273,7 +273,7 @@ class TeamActor(TensorDictModuleBase):
         logits = self.stacked(*(tensordict.get(key) for key in OBSERVATION_KEYS))
         logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
         policy = Categorical(logits=logits, validate_args=False)
-        likeliest = exploration_type() is ExplorationType.DETERMINISTIC
+        likeliest = exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE)
         action = policy.mode if likeliest else policy.sample()
         tensordict.set(ACTION, action)
         return tensordict.set(LOG_PROB, policy.log_prob(action))

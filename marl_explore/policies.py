@@ -88,22 +88,27 @@ class Policy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
         observation = tensordict.select(*self.in_keys)
-        self._check(observation)
+        fov = observation.get(("agents", "observation", "fov"))
+        self.check(robots=fov.shape[-3], fov_size=fov.shape[-1])
         acted = self.team(self._net(self._fpr(observation)))
         return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
 
-    def _check(self, observation: TensorDictBase) -> None:
-        robots = observation.get(("agents", "position")).shape[-2]
-        if robots != self.spec.arena.num_agents:
+    def check(self, robots: int, fov_size: int) -> None:
+        """Refuse another team or sensor than the policy was trained for.
+
+        Raises:
+            ValueError: naming both.
+        """
+        arena = self.spec.arena
+        if robots != arena.num_agents:
             raise ValueError(
-                f"the policy was trained for num_agents={self.spec.arena.num_agents}, "
-                f"and the environment has {robots} robots"
+                f"the policy was trained for num_agents={arena.num_agents}, and the environment "
+                f"has {robots} robots"
             )
-        side = observation.get(("agents", "observation", "fov")).shape[-1]
-        if side != self.spec.arena.fov_size:
+        if fov_size != arena.fov_size:
             raise ValueError(
-                f"the policy was trained for fov_radius={self.spec.arena.fov_radius}, "
-                f"and the environment's field of view is {side} x {side} cells"
+                f"the policy was trained for fov_radius={arena.fov_radius}, and the environment's "
+                f"field of view is {fov_size} x {fov_size} cells"
             )
 
 

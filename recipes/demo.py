@@ -55,11 +55,13 @@ def run(arguments: Arguments) -> None:
 
     torch.set_num_threads(arguments.threads)
     config = replace(PRESETS["fast"], seed=arguments.seed, episodes=arguments.episodes)
-    if not (arguments.out / MARK).exists():
-        runs.require_new(arguments.out)
     # made beside it, so that an earlier demonstration is replaced by a whole one or not at all
-    folder = arguments.out.with_name(arguments.out.name + ".unfinished")
-    shutil.rmtree(folder, ignore_errors=True)
+    out = arguments.out.resolve()
+    folder = out.with_name(out.name + ".unfinished")
+    for path in (out, folder):
+        if not (path / MARK).exists():
+            runs.require_new(path)
+    _remove(folder)
     record = runs.provenance()
     folder.mkdir(parents=True)
     (folder / MARK).write_text("made by recipes/demo.py, which may replace this folder\n")
@@ -84,11 +86,16 @@ def run(arguments: Arguments) -> None:
     steps = play(learned, env, steps=100, until_done=True)
     plots.episode_animation(list(steps), folder / "episode.gif")
 
-    shutil.rmtree(arguments.out, ignore_errors=True)
-    folder.rename(arguments.out)
+    _remove(out)
+    folder.rename(out)
     print(format_table(results))
     for name in ("table.txt", "results.csv", "coverage.png", "episode.gif", "training"):
         print(arguments.out / name)
+
+
+def _remove(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)
 
 
 if __name__ == "__main__":

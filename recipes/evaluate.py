@@ -7,8 +7,8 @@ The arenas are those the first trained policy was trained for, changed by the fl
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -43,15 +43,24 @@ class Arguments:
 
 def parse() -> Arguments:
     """Read the command line; a trained policy's arena is the default of the arena's flags."""
-    read = partial(tyro.cli, Arguments, prog="evaluate.py", description=__doc__, config=cli.OPTIONS)
-    arguments = read()
-    from marl_explore.evaluation import trained_arena
+    return tyro.cli(
+        Arguments,
+        prog="evaluate.py",
+        description=__doc__,
+        default=Arguments((), _trained_arena(sys.argv[1:])),
+        config=cli.OPTIONS,
+    )
 
-    for name in arguments.policies:
-        arena = trained_arena(name)
-        if arena is not None:
-            return read(default=Arguments(arguments.policies, arena))
-    return arguments
+
+def _trained_arena(words: list[str]) -> ArenaConfig:
+    """The arena of the first trained policy among the words of the command line."""
+    for word in words:
+        if not word.startswith("-"):
+            from marl_explore.evaluation import trained_arena
+
+            if (arena := trained_arena(word)) is not None:
+                return arena
+    return ArenaConfig()
 
 
 def run(arguments: Arguments) -> None:

@@ -91,6 +91,7 @@ def test_paper_presets_have_the_papers_numbers(name):
         ({"actor_lr": 0.0}, "actor_lr=0.0"),
         ({"entropy_coeff": -1.0}, "entropy_coeff=-1.0"),
         ({"seed": -1}, "seed=-1"),
+        ({"num_envs": 1, "rollout_steps": 1}, "rollout_steps=1"),
         ({"architecture": "MLP"}, "architecture='MLP' .*mlp.*cnn"),
         ({"critic_reads": "everything"}, "critic_reads='everything'"),
         ({"fpr": "max"}, "fpr='max'"),

@@ -378,6 +378,39 @@ def test_environments_can_be_copied_and_pickled(copied):
     assert (other.reset() == env.reset()).all()
 
 
+def test_a_refused_state_changes_nothing():
+    env = ExplorationEnv(ArenaConfig(height=6, width=6), num_envs=2, seed=5)
+    env.rollout(2)
+    before = env.state_dict()
+    other = ExplorationEnv(num_envs=2)
+    other.rollout(3)
+    broken = {**before, "known": before["known"][:1]}
+    for state, name in ((other.state_dict(), "obstacles"), (broken, "known")):
+        with pytest.raises(ValueError, match=f"state_dict: '{name}' must be"):
+            env.load_state_dict(state)
+    after = env.state_dict()
+    assert after["seed"] == 5
+    assert all(after[name] is before[name] for name in before if name != "seed")
+
+
+def test_a_state_before_the_first_reset_can_be_loaded():
+    fresh = ExplorationEnv(num_envs=2).state_dict()
+    env = ExplorationEnv(num_envs=2)
+    env.rollout(3)
+    env.load_state_dict(env.state_dict())
+    env.load_state_dict(fresh)
+    assert (env.reset() == ExplorationEnv(num_envs=2).reset()).all()
+
+
+@pytest.mark.parametrize("make", [ExplorationEnv, make_env], ids=["env", "with transforms"])
+def test_a_reset_of_no_arena_changes_nothing(make):
+    env = make(num_envs=2)
+    td = env.rollout(3)[:, -1]["next"]
+    before = td.clone()
+    td.set("_reset", torch.zeros(2, 1, dtype=torch.bool))
+    assert (env.reset(td, set_state=False) == before).all()
+
+
 def test_a_foreign_state_dict_is_refused():
     env = ExplorationEnv(num_envs=3)
     with pytest.raises(ValueError, match="state_dict holds"):

@@ -15,6 +15,7 @@ from marl_explore.models import (
     MLPActor,
     MLPCritic,
     StackedActors,
+    TeamActor,
     make_critic,
     probabilistic_actor,
 )
@@ -160,5 +161,24 @@ def test_actors_obey_the_mask_and_take_the_likeliest_action_when_asked():
     logits = sampled["agents", "logits"].masked_fill(~mask, -torch.inf)
     expected = logits.log_softmax(-1).gather(-1, action.unsqueeze(-1)).squeeze(-1)
     torch.testing.assert_close(sampled["agents", "action_log_prob"], expected)
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        assert torch.equal(policy(td.clone())["agents", "action"], logits.argmax(-1))
+    team = TeamActor(policy.module[0].module.actors)
+    for likeliest in (ExplorationType.DETERMINISTIC, ExplorationType.MODE):
+        with set_exploration_type(likeliest):
+            assert torch.equal(policy(td.clone())["agents", "action"], logits.argmax(-1))
+            assert torch.equal(team(td.clone())["agents", "action"], logits.argmax(-1))
+
+
+def test_a_team_actor_samples_as_the_chain_of_modules_does():
+    config = ArenaConfig(num_agents=2)
+    fov, fpr, net = observation(300, robots=2, config=config)
+    entries = {"fov": fov, "fpr": fpr, "net": net}
+    mask = torch.rand(300, 2, 10) < 0.4
+    mask[..., 8] = True
+    td = TensorDict({"agents": {"observation": entries, "action_mask": mask}}, [300])
+    stacked = StackedActors([MLPActor(config, (8, 8)) for _ in range(2)])
+    torch.manual_seed(3)
+    chain = probabilistic_actor(stacked)(td.clone())["agents"]
+    torch.manual_seed(3)
+    team = TeamActor(stacked.actors)(td.clone())["agents"]
+    assert torch.equal(team["action"], chain["action"])
+    torch.testing.assert_close(team["action_log_prob"], chain["action_log_prob"])

@@ -43,7 +43,7 @@ def flood(
     labels = front.clone()
     fresh = fresh & _closed(front)
     # how many levels each cell waited to be reached; a byte overflows in long mazes
-    narrow = fresh[..., 0].numel() < 256
+    narrow = fresh.shape[0] * fresh.shape[1] < 256
     waited = (fresh & 1).to(torch.uint8 if narrow else torch.int32)
     sideways, upright = torch.zeros_like(front), torch.zeros_like(front)
     level = 1
