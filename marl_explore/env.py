@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase
 
 from marl_explore import arenas as suites
 from marl_explore.config import ArenaConfig, require_coverage, require_integer
-from marl_explore.core import mapping, rewards, world
+from marl_explore.core import mapping, motion, rewards, world
 from marl_explore.core.hashing import combine, text_key
 from marl_explore.core.world import WorldState
 from marl_explore.specs import exploration_specs
@@ -180,12 +181,7 @@ class ExplorationEnv(EnvBase):
     def _check_entries(self, entries: Mapping[NestedKey, Tensor]) -> None:
         """Given entries must have their spec's dtype and shape."""
         for key, value in entries.items():
-            spec = self.full_state_spec[key]
-            if value.dtype != spec.dtype or value.shape != spec.shape:
-                raise ValueError(
-                    f"reset(set_state=True): {key!r} must be {spec.dtype} of shape "
-                    f"{tuple(spec.shape)}, got {value.dtype} of shape {tuple(value.shape)}"
-                )
+            _require_like("reset(set_state=True)", key, value, self.full_state_spec[key])
 
     def _replace_rows(self, rows: Tensor, fresh: WorldState, last: LastStep) -> None:
         """Write fresh arenas into the state, leaving tensors that were handed out untouched."""
@@ -229,9 +225,9 @@ class ExplorationEnv(EnvBase):
         if self.terminate_at_coverage == 1:
             return record.complete
         largest = mapping.known_targets(state.map, state.target).amax(-1)
-        # whole cells are compared: the epsilon keeps 0.9 * 110 from asking for one cell more
-        share = self.terminate_at_coverage * world.num_targets(state).double()
-        return largest >= (share - 1e-9).ceil()
+        return largest >= mapping.cells_of_share(
+            self.terminate_at_coverage, world.num_targets(state)
+        )
 
     def _observe(self, **root: Tensor) -> TensorDict:
         """All observation entries and further ones of the root, in one nested TensorDict."""
@@ -273,9 +269,7 @@ class ExplorationEnv(EnvBase):
             tensordict = TensorDict({}, batch_size=self.batch_size, device=self.device)
         else:
             mask = tensordict.get(("agents", "action_mask"))
-        weights = mask.flatten(0, -2).float()
-        action = torch.multinomial(weights, 1).view(mask.shape[:-1])
-        return tensordict.set(("agents", "action"), action)
+        return tensordict.set(("agents", "action"), motion.random_allowed(mask))
 
     # ------------------------------------------------------------ state, device
 
@@ -310,12 +304,7 @@ class ExplorationEnv(EnvBase):
             # everything that follows from something else must fit what would be made here
             blank = self._blank()
             for name, like in {**blank[0]._asdict(), **blank[1]._asdict()}.items():
-                entry = state_dict[name]
-                if entry.dtype != like.dtype or entry.shape != like.shape:
-                    raise ValueError(
-                        f"state_dict: {name!r} must be {like.dtype} of shape {tuple(like.shape)}, "
-                        f"got {entry.dtype} of shape {tuple(entry.shape)}"
-                    )
+                _require_like("state_dict", name, state_dict[name], like)
             state = (
                 WorldState(*(state_dict[name].to(self.device) for name in WorldState._fields)),
                 LastStep(*(state_dict[name].to(self.device) for name in LastStep._fields)),
@@ -337,6 +326,14 @@ class ExplorationEnv(EnvBase):
             state, last = self._state
             self._state = WorldState(*map(fn, state)), LastStep(*map(fn, last))
         return super()._apply(fn, recurse)
+
+
+def _require_like(where: str, key: NestedKey, value: Tensor, like: Tensor | TensorSpec) -> None:
+    if value.dtype != like.dtype or value.shape != like.shape:
+        raise ValueError(
+            f"{where}: {key!r} must be {like.dtype} of shape {tuple(like.shape)}, "
+            f"got {value.dtype} of shape {tuple(value.shape)}"
+        )
 
 
 def _at_rest(state: WorldState, first: bool) -> LastStep:

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN
+from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
+from marl_explore.core.mapping import cells_of_share, known_cells, known_targets
 
 THRESHOLDS = (0.80, 0.90, 0.95, 0.99, 1.00)
 """Coverages whose first reaching is reported."""
@@ -31,13 +32,12 @@ class Snapshot(NamedTuple):
 
 def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
     """Count what maps int8 [B, N, H, W] know of all cells and of target cells bool [B, H, W]."""
-    known = grid != UNKNOWN
-    union = known.any(-3)
+    union = grid.amax(-3, keepdim=True)  # unknown is the lowest code
     return Snapshot(
-        known_targets=(known & target.unsqueeze(-3)).flatten(-2).sum(-1),
-        union_targets=(union & target).flatten(-2).sum(-1),
-        known_cells=known.flatten(-2).sum(-1),
-        union_cells=union.flatten(-2).sum(-1),
+        known_targets=known_targets(grid, target),
+        union_targets=known_targets(union, target).squeeze(-1),
+        known_cells=known_cells(grid),
+        union_cells=known_cells(union).squeeze(-1),
     )
 
 
@@ -99,8 +99,7 @@ def steps_to(known: Tensor, targets: Tensor, share: float) -> Tensor:
         targets: target cells, int64 [B].
         share: in (0, 1]; whole cells are compared.
     """
-    needed = (share * targets.double() - 1e-9).ceil().unsqueeze(-1)
-    reached = known >= needed
+    reached = known >= cells_of_share(share, targets).unsqueeze(-1)
     first = reached.to(torch.uint8).argmax(-1)
     return torch.where(reached.any(-1), first, known.shape[-1])
 

@@ -5,6 +5,8 @@ The same inputs give the same number on any device, batch size, worker and torch
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 
@@ -44,6 +46,7 @@ def combine(*parts: Tensor | int) -> Tensor:
     return result
 
 
+@lru_cache
 def text_key(text: str) -> int:
     """A number for a name, such as a stream of arenas."""
     return int(combine(*text.encode()))

@@ -7,6 +7,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from marl_explore.config import TOLERANCE
 from marl_explore.core.grid import square_around, with_robots
 from marl_explore.core.wavefront import flood, to_bytes
 
@@ -152,3 +153,9 @@ def known_targets(grid: Tensor, target: Tensor) -> Tensor:
     """Target cells [*B, H, W] that each robot's map [*B, N, H, W] knows, int64 [*B, N]."""
     known = known_mask(grid) * target.unsqueeze(-3).to(grid.dtype)
     return known.flatten(-2).float().sum(-1).long()
+
+
+def cells_of_share(share: float, cells: Tensor) -> Tensor:
+    """Fewest whole cells that make up a share of ``cells`` [*B], float64 [*B]."""
+    # the slack keeps 0.9 * 110 from asking for one cell more
+    return (share * cells.double() - TOLERANCE).ceil()

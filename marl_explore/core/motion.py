@@ -41,6 +41,12 @@ def action_mask(open_moves: Tensor, reach: Tensor) -> Tensor:
     return torch.cat((open_moves, stay, has_neighbor(reach).unsqueeze(-1)), -1)
 
 
+def random_allowed(mask: Tensor) -> Tensor:
+    """Uniform choice among the allowed actions, int64 [*B, N], of a mask bool [*B, N, A]."""
+    choice = torch.multinomial(mask.flatten(0, -2).float(), 1)
+    return choice.view(mask.shape[:-1])
+
+
 def dangerous_moves(open_moves: Tensor, position: Tensor, action: Tensor) -> Tensor:
     """Robots whose move is refused: closed, to a cell another one chose, or across its way.
 

@@ -1,4 +1,4 @@
-"""What planners share: the entries they read, and taking an action only where it is allowed."""
+"""What planners share: the entries they read, and yielding where a move is not possible."""
 
 from __future__ import annotations
 
@@ -8,13 +8,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
+from marl_explore.core.motion import random_allowed
 from marl_explore.planners.communication import CommunicationRule
-
-
-def random_allowed(mask: Tensor) -> Tensor:
-    """Uniform choice among the allowed actions, int64 [*B, N], of a mask bool [*B, N, A]."""
-    choice = torch.multinomial(mask.flatten(0, -2).float(), 1)
-    return choice.view(mask.shape[:-1])
 
 
 class Planner(TensorDictModuleBase):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from marl_explore.planners.base import random_allowed
+from marl_explore.core.motion import random_allowed
 
 
 class RandomWalk(TensorDictModuleBase):
