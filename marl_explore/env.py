@@ -224,7 +224,8 @@ class ExplorationEnv(EnvBase):
             return torch.zeros(self.batch_size, dtype=torch.bool, device=self.device)
         if self.terminate_at_coverage == 1:
             return record.complete
-        largest = mapping.known_targets(state.map, state.target).amax(-1)
+        known = mapping.known_mask(state.map)
+        largest = mapping.known_targets(known, state.target).amax(-1)
         return largest >= mapping.cells_of_share(
             self.terminate_at_coverage, world.num_targets(state)
         )
@@ -232,9 +233,7 @@ class ExplorationEnv(EnvBase):
     def _observe(self, **root: Tensor) -> TensorDict:
         """All observation entries and further ones of the root, in one nested TensorDict."""
         (state, last), config = self._now, self.config
-        fov = mapping.field_of_view(
-            state.obstacles, state.position, config.fov_radius, config.occlusion
-        )
+        fov = mapping.field_of_view(state.view)
         group = (*self.batch_size, config.num_agents)
         agents = TensorDict(
             {
@@ -338,12 +337,11 @@ def _require_like(where: str, key: NestedKey, value: Tensor, like: Tensor | Tens
 
 def _at_rest(state: WorldState, first: bool) -> LastStep:
     """The record of no step; at a first sensing the known cells are discoveries."""
-    known = mapping.known_cells(state.map)
-    nothing = torch.zeros_like(known)
+    nothing = torch.zeros_like(state.known)
     return LastStep(
         dangerous=nothing.bool(),
         merged=nothing.bool(),
-        discovered=known if first else nothing,
+        discovered=state.known if first else nothing,
         received=nothing.clone(),
         individual_reward=nothing.float().unsqueeze(-1),
     )

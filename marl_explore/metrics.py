@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
-from marl_explore.core.mapping import cells_of_share, known_cells, known_targets
+from marl_explore.core.mapping import cells_of_share, known_cells, known_mask, known_targets
 
 THRESHOLDS = (0.80, 0.90, 0.95, 0.99, 1.00)
 """Coverages whose first reaching is reported."""
@@ -32,11 +32,12 @@ class Snapshot(NamedTuple):
 
 def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
     """Count what maps int8 [B, N, H, W] know of all cells and of target cells bool [B, H, W]."""
-    union = grid.amax(-3, keepdim=True)  # unknown is the lowest code
+    known = known_mask(grid)
+    union = known.amax(-3, keepdim=True)
     return Snapshot(
-        known_targets=known_targets(grid, target),
+        known_targets=known_targets(known, target),
         union_targets=known_targets(union, target).squeeze(-1),
-        known_cells=known_cells(grid),
+        known_cells=known_cells(known),
         union_cells=known_cells(union).squeeze(-1),
     )
 

@@ -15,7 +15,7 @@ from torchrl.modules import PopArtValueNorm
 from marl_explore.collect import make_collector
 from marl_explore.config import TrainConfig
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
-from marl_explore.core.mapping import known_cells, known_targets, target_cells
+from marl_explore.core.mapping import known_cells, known_mask, known_targets, target_cells
 from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
 from marl_explore.models import make_critic, probabilistic_actor
@@ -160,15 +160,15 @@ def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
     }
     ended = following["done"].squeeze(-1)
     if ended.any():
-        grid = agents["map"][ended]
+        known = known_mask(agents["map"][ended])
         target = target_cells(following["obstacles"][ended], agents["position"][ended])
-        covered = known_targets(grid, target).amax(-1) / target.flatten(-2).sum(-1)
-        known = known_cells(grid).amax(-1) / target[0].numel()
+        covered = known_targets(known, target).amax(-1) / target.flatten(-2).sum(-1)
+        ratio = known_cells(known).amax(-1) / target[0].numel()
         metrics |= {
             "episode_return": float(following["episode_reward"][ended].mean()),
             "episode_steps": float(following["step_count"][ended].float().mean()),
             "final_coverage": float(covered.mean()),
-            "final_known_ratio": float(known.mean()),
+            "final_known_ratio": float(ratio.mean()),
         }
     return metrics
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from marl_explore import native
 from marl_explore.core import frontier
 
@@ -12,6 +14,7 @@ NAMED = {
 }
 if native.missing() is None:
     NAMED["native"] = native.feature_table
+    NAMED["native, by queue"] = partial(native.feature_table, rows=False)
 
 
 def feature_table(maps, positions, normalize="relative", levels=None):

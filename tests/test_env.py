@@ -94,7 +94,7 @@ def test_the_team_reward_is_the_mean_of_the_robots_rewards():
 def test_a_callable_reward_is_used():
     env = ExplorationEnv(num_envs=3, reward=lambda step: step.known.float())
     td = env.rollout(5)
-    known = mapping.known_cells(td["next", "agents", "map"]).float()
+    known = mapping.known_cells(mapping.known_mask(td["next", "agents", "map"])).float()
     torch.testing.assert_close(td["next", "agents", "individual_reward"].squeeze(-1), known)
 
 
@@ -192,7 +192,8 @@ def test_episodes_terminate_when_the_largest_map_covers_the_share(share):
         for step in episode:
             if target is None or step["step_count"] == 0:
                 target = mapping.target_cells(step["obstacles"], step["agents", "position"])
-            known = mapping.known_targets(step["next", "agents", "map"], target).max()
+            known = mapping.known_mask(step["next", "agents", "map"])
+            known = mapping.known_targets(known, target).max()
             assert bool(step["next", "terminated"]) == (known >= share * target.sum() - 1e-9)
 
 

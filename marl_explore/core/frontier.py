@@ -8,8 +8,15 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN, compass
-from marl_explore.core.wavefront import flood, to_bytes
+from marl_explore.core.grid import (
+    FREE,
+    NUM_DIRECTIONS,
+    OCCUPIED,
+    UNKNOWN,
+    compass,
+    flat_cell,
+)
+from marl_explore.core.wavefront import batch_last, flood, mask
 
 Normalization = Literal["relative", "proximity", "absolute"]
 NORMALIZATIONS: tuple[Normalization | None, ...] = ("relative", "proximity", "absolute", None)
@@ -89,17 +96,30 @@ class Trajectories(NamedTuple):
 
 def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Trajectories:
     """Paths to all reachable frontiers of maps [M, H, W] from positions [M, 2]."""
-    passable = to_bytes(grid != OCCUPIED)
-    labels, distance = flood(*_first_moves(grid, position, passable), passable, levels)
-    labels &= to_bytes(frontier_mask(grid))
-    distance = distance.mul_(labels != 0).flatten()
+    codes = batch_last(grid + 1, border=OCCUPIED + 1)
+    known, passable = codes.clamp_max(1), mask((codes >> 1) ^ 1)  # codes are 0, 1 and 2 here
+    free = mask(codes.bitwise_and_(1))
+    labels, distance = flood(*_first_moves(position, free, passable), passable, levels)
+    labels[1:-1, 1:-1] &= free[1:-1, 1:-1] & _beside_unknown(known)
     # only the few frontiers are worth looking at; how many they are takes a host synchronisation
+    labels, distance = labels.flatten(), distance.flatten()
     if levels is None:
-        cell = distance.nonzero().squeeze(-1)
+        cell = labels.nonzero().squeeze(-1)
     else:
-        cell = torch.arange(len(distance), device=grid.device)
-    direction = _lowest_bit(grid.device)[labels.flatten()[cell].int()]
-    return Trajectories(cell % grid.shape[0], direction, distance[cell].double())
+        cell = torch.arange(len(labels), device=grid.device)
+    found = labels[cell]
+    length = distance[cell].double()
+    if levels is not None:
+        length *= found.clamp_max(1)
+    return Trajectories(cell % len(grid), _lowest_bit(grid.device)[found.int()], length)
+
+
+def _beside_unknown(known: Tensor) -> Tensor:
+    """Byte mask [H, W, M] of the cells with an unknown 4-neighbour, of known ones [H+2, W+2, M]."""
+    beside = known[:-2, 1:-1] & known[2:, 1:-1]
+    beside &= known[1:-1, :-2]
+    beside &= known[1:-1, 2:]
+    return beside.sub_(1)  # all neighbours known: 1 - 1 = 0; else 0 - 1 = 255 in byte arithmetic
 
 
 class Moments(NamedTuple):
@@ -122,21 +142,25 @@ def _moments(found: Trajectories, robots: int) -> Moments:
     return Moments(number, total, squares, longest.unsqueeze(-1))
 
 
-def _first_moves(grid: Tensor, position: Tensor, passable: Tensor) -> tuple[Tensor, Tensor]:
+def _first_moves(position: Tensor, free: Tensor, passable: Tensor) -> tuple[Tensor, Tensor]:
     """The front that labels each neighbour with its direction's bit, and where paths may go."""
-    count = grid.shape[0]
-    fresh = to_bytes(grid == FREE)
-    row, column = position.T + 1
-    robot = torch.arange(count, device=grid.device)
-    fresh[row, column, robot] = 0
-    front = torch.zeros_like(fresh)
-    step_row, step_column = compass(grid.device).T.unsqueeze(-1)
-    bits = torch.tensor([[1 << d] for d in range(NUM_DIRECTIONS)], device=grid.device).byte()
-    open_beside = (
-        passable[row + step_row, column, robot] | passable[row, column + step_column, robot]
-    )
-    front[row + step_row, column + step_column, robot] = open_beside & bits
+    fresh, front = free.clone(), torch.zeros_like(free)
+    row_stride, column_stride, _ = free.stride()
+    start = flat_cell(position + 1, free.shape[1]) * column_stride
+    start = start + torch.arange(len(position), device=free.device)
+    fresh.view(-1)[start] = 0
+    step_row, step_column = compass(free.device).T.unsqueeze(-1)
+    up, side = start + step_row * row_stride, start + step_column * column_stride
+    passable = passable.view(-1)
+    open_beside = passable[up] | passable[side]
+    front.view(-1)[up + step_column * column_stride] = open_beside & _bits(free.device)
     return front, fresh
+
+
+@lru_cache
+def _bits(device: torch.device) -> Tensor:
+    """The label of each direction, uint8 [8, 1]."""
+    return torch.tensor([[1 << d] for d in range(NUM_DIRECTIONS)], dtype=torch.uint8, device=device)
 
 
 @lru_cache

@@ -36,30 +36,15 @@ def _ring(device: torch.device) -> Tensor:
 
 
 @lru_cache
-def _square(side: int, stride: int, device: torch.device) -> Tensor:
-    """Steps from a square's first cell to all its cells in a flattened grid, int64 [side, side]."""
-    steps = torch.arange(side, device=device)
-    return stride * steps.unsqueeze(-1) + steps
+def square_steps(radius: int, stride: int, device: torch.device) -> Tensor:
+    """Steps from a square's centre to all its cells in a flattened grid, int64 [(2k+1)^2]."""
+    steps = torch.arange(-radius, radius + 1, device=device)
+    return (stride * steps.unsqueeze(-1) + steps).flatten()
 
 
-def square_around(grid: Tensor, position: Tensor, radius: int, outside: bool | int) -> Tensor:
-    """Square cut out of a grid around each robot.
-
-    Args:
-        grid: [*B, H, W].
-        position: int64 [*B, N, 2], inside the grid.
-        radius: half side of the square (cells).
-        outside: value of cells off the grid.
-
-    Returns:
-        [*B, N, 2 radius + 1, 2 radius + 1], row 0 north.
-    """
-    padded = torch.nn.functional.pad(grid, (radius,) * 4, value=outside)
-    stride = padded.shape[-1]
-    corner = position[..., 0] * stride + position[..., 1]
-    index = corner[..., None, None] + _square(2 * radius + 1, stride, grid.device)
-    values = padded.flatten(-2).gather(-1, index.flatten(-3))
-    return values.view(index.shape)
+def flat_cell(position: Tensor, stride: int) -> Tensor:
+    """Place of each robot's cell [*B, N, 2] in a flattened grid with rows of ``stride`` cells."""
+    return position[..., 0] * stride + position[..., 1]
 
 
 @lru_cache
@@ -68,13 +53,48 @@ def other_robots(robots: int, device: torch.device) -> Tensor:
     return 1 - torch.eye(robots, dtype=torch.int64, device=device)
 
 
-def neighbors(grid: Tensor, position: Tensor, outside: bool | int) -> Tensor:
-    """Values of the eight cells around each robot in compass order, [*B, N, 8]."""
-    square = square_around(grid, position, 1, outside).flatten(-2)
-    return square.index_select(-1, _ring(grid.device))
+OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 3
+"""What stands in a cell around a robot (int8); UNSEEN is outside the arena or hidden."""
+
+
+def bordered(obstacles: Tensor, radius: int) -> Tensor:
+    """Obstacles bool [*B, H, W] as codes with a border of UNSEEN, int8 [*B, H + 2k, W + 2k]."""
+    return torch.nn.functional.pad(obstacles.to(torch.int8), (radius,) * 4, value=UNSEEN)
+
+
+def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool = False) -> Tensor:
+    """What stands in the square around each robot; the own cell is OPEN.
+
+    Args:
+        walls: ``bordered`` obstacles, int8 [*B, H + 2k, W + 2k].
+        position: int64 [*B, N, 2].
+        radius: half side k of the square (cells).
+        occlusion: whether two obstacles hide the diagonal cell behind them (k = 1 only).
+
+    Returns:
+        int8 [*B, N, 2k + 1, 2k + 1], row 0 north.
+    """
+    side, stride = 2 * radius + 1, walls.shape[-1]
+    own = flat_cell(position + radius, stride)
+    occupied = walls.flatten(-2).scatter(-1, own, ROBOT)
+    index = own.unsqueeze(-1) + square_steps(radius, stride, walls.device)
+    view = occupied.gather(-1, index.flatten(-2)).view(*own.shape, side, side)
+    view[..., radius, radius] = OPEN
+    if occlusion:
+        wall = view == WALL
+        hidden = wall[..., ::2, 1:2] & wall[..., 1:2, ::2]
+        view[..., ::2, ::2].masked_fill_(hidden, UNSEEN)
+    return view
+
+
+def ring(view: Tensor) -> Tensor:
+    """The eight cells around each robot in compass order, [*B, N, 8], of ``surroundings``."""
+    radius = view.shape[-1] // 2
+    square = view[..., radius - 1 : radius + 2, radius - 1 : radius + 2].flatten(-2)
+    return square.index_select(-1, _ring(view.device))
 
 
 def with_robots(obstacles: Tensor, position: Tensor) -> Tensor:
     """Obstacles bool [*B, H, W] and the cells of the robots [*B, N, 2] as one grid."""
-    cell = position[..., 0] * obstacles.shape[-1] + position[..., 1]
+    cell = flat_cell(position, obstacles.shape[-1])
     return obstacles.flatten(-2).scatter(-1, cell, True).view(obstacles.shape)

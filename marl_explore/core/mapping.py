@@ -2,79 +2,57 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
 
 import torch
 from torch import Tensor
 
 from marl_explore.config import TOLERANCE
-from marl_explore.core.grid import square_around, with_robots
-from marl_explore.core.wavefront import flood, to_bytes
+from marl_explore.core.grid import (
+    UNKNOWN,
+    UNSEEN,
+    WALL,
+    flat_cell,
+    square_steps,
+    with_robots,
+)
+from marl_explore.core.wavefront import batch_last, flood, mask
 
 
-def field_of_view(
-    obstacles: Tensor, position: Tensor, radius: int, occlusion: bool = False
-) -> Tensor:
-    """What each robot's sensor reads around it: obstacles, other robots and the outside are 1.
+def field_of_view(view: Tensor) -> Tensor:
+    """What each robot's sensor reads: obstacles, other robots and what is unseen are 1.
 
     Args:
-        obstacles: bool [*B, H, W].
-        position: int64 [*B, N, 2].
-        radius: half side k of the field of view (cells).
-        occlusion: whether two obstacles hide the diagonal cell behind them (k = 1 only).
+        view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
 
     Returns:
-        float32 [*B, N, 2k + 1, 2k + 1], row 0 north; the own cell is 0.
+        float32 of the same shape; the own cell is 0.
     """
-    view = square_around(with_robots(obstacles, position), position, radius, outside=True)
-    view[..., radius, radius] = False
-    if occlusion:
-        view |= _hidden(obstacles, position)
-    return view.float()
+    return view.clamp_max(1).float()
 
 
-def sense(
-    grid: Tensor, obstacles: Tensor, position: Tensor, radius: int, occlusion: bool = False
-) -> Tensor:
-    """Maps with the cells of each robot's field of view written in.
+def sense(grid: Tensor, view: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+    """Maps with what each robot sees around it written in, and how many cells were new.
 
     Args:
         grid: maps, int8 [*B, N, H, W].
-        obstacles: bool [*B, H, W].
+        view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
         position: int64 [*B, N, 2].
-        radius: half side k of the field of view (cells).
-        occlusion: whether two obstacles hide the diagonal cell behind them (k = 1 only).
 
     Returns:
-        int8 [*B, N, H, W], a new tensor.
+        New maps int8 [*B, N, H, W], and discovered cells int64 [*B, N].
     """
-    height, width = obstacles.shape[-2:]
-    reach = _reach(radius, position.device)
-    # a cell off the grid is drawn in to the nearest one on it, which is in view as well
-    row = (position[..., 0:1] + reach).clamp(0, height - 1)
-    column = (position[..., 1:2] + reach).clamp(0, width - 1)
-    cell = (row.unsqueeze(-1) * width + column.unsqueeze(-2)).flatten(-2)
-    seen = obstacles.flatten(-2).gather(-1, cell.flatten(-2)).view(cell.shape).to(grid.dtype)
+    width = grid.shape[-1]
+    view = view.flatten(-2)
+    own = flat_cell(position, width).unsqueeze(-1)
+    # cells that are not seen are drawn in to the own one, which is known to be free
+    seen = (view != UNSEEN).to(torch.int8)
+    steps = square_steps(math.isqrt(view.shape[-1]) // 2, width, view.device)
+    cell = own + steps * seen
     known = grid.flatten(-2)
-    if occlusion:
-        hidden = _hidden(obstacles, position).flatten(-2)
-        seen = torch.where(hidden, known.gather(-1, cell), seen)
-    return known.scatter(-1, cell, seen).view(grid.shape)
-
-
-@lru_cache
-def _reach(radius: int, device: torch.device) -> Tensor:
-    """Steps to the rows or columns in view, int64 [2 radius + 1]."""
-    return torch.arange(-radius, radius + 1, device=device)
-
-
-def _hidden(obstacles: Tensor, position: Tensor) -> Tensor:
-    """Corners of the 3 x 3 field of view behind two obstacles, bool [*B, N, 3, 3]."""
-    wall = square_around(obstacles, position, 1, outside=False)
-    hidden = torch.zeros_like(wall)
-    beside_row, beside_column = wall[..., ::2, 1:2], wall[..., 1:2, ::2]
-    hidden[..., ::2, ::2] = beside_row & beside_column
-    return hidden
+    discovered = (known.gather(-1, cell) * seen).clamp_max_(0).sum(-1).neg_()
+    wall = (view == WALL).to(grid.dtype)
+    return known.scatter(-1, cell, wall).view(grid.shape), discovered
 
 
 def closed_diagonals(wall: Tensor) -> Tensor:
@@ -84,30 +62,59 @@ def closed_diagonals(wall: Tensor) -> Tensor:
     return torch.stack((torch.zeros_like(closed), closed), -1).flatten(-2)
 
 
-def merge(grid: Tensor, network: Tensor) -> Tensor:
-    """Maps after every network's members took over the union of their maps.
-
-    Args:
-        grid: maps that agree wherever they are known, int8 [*B, N, H, W].
-        network: bool [*B, N, N], whether i and j are in one network (see ``radio.networks``).
-
-    Returns:
-        int8 [*B, N, H, W], a new tensor.
-    """
-    # codes 0, 1, 2, so that a product leaves out the maps of others: bytes are fast, masks are not
-    codes = (grid + 1).unsqueeze(-4)
-    union = (network.to(grid.dtype)[..., None, None] * codes).amax(-3) - 1
-    return torch.maximum(grid, union)
+# What a map knows is kept as float masks where many cells are combined or counted: products and
+# sums of floats are fast on every device, where comparing and selecting cells is not. Sums are
+# exact up to 2^24 cells.
 
 
 def known_mask(grid: Tensor) -> Tensor:
-    """1 at known cells, int8, 0 elsewhere; maps of any shape."""
-    return (grid + 1).clamp_max(1)
+    """1 at known cells, 0 elsewhere, float32; maps of any shape."""
+    return (grid + 1).clamp_max_(1).float()
 
 
-def known_cells(grid: Tensor) -> Tensor:
-    """Number of known cells |M|, int64 [*B], of maps [*B, H, W]."""
-    return known_mask(grid).flatten(-2).float().sum(-1).long()  # float adds fastest, exact to 2^24
+def merge(known: Tensor, network: Tensor) -> Tensor:
+    """What every robot knows after each network's members took over the union of their maps.
+
+    Args:
+        known: ``known_mask`` of the maps, float32 [*B, N, H, W].
+        network: bool [*B, N, N], whether i and j are in one network (see ``radio.networks``).
+
+    Returns:
+        float32 [*B, N, H, W] of 0 and 1.
+    """
+    sources = network.float()
+    sources.diagonal(dim1=-2, dim2=-1).fill_(1)
+    return (sources @ known.flatten(-2)).clamp_max_(1).view(known.shape)
+
+
+def draw(known: Tensor, obstacles: Tensor) -> Tensor:
+    """The maps of robots that know some cells: a map says the truth, or nothing.
+
+    Args:
+        known: float32 [*B, N, H, W] of 0 and 1.
+        obstacles: bool [*B, H, W].
+
+    Returns:
+        int8 [*B, N, H, W].
+    """
+    codes = obstacles.unsqueeze(-3).to(torch.int8) - UNKNOWN
+    return known.to(torch.int8).mul_(codes).add_(UNKNOWN)
+
+
+def known_cells(known: Tensor) -> Tensor:
+    """Number of known cells |M|, int64 [*B], of a ``known_mask`` [*B, H, W]."""
+    return known.flatten(-2).sum(-1).long()
+
+
+def known_targets(known: Tensor, target: Tensor) -> Tensor:
+    """Known target cells of each robot, int64 [*B, N].
+
+    Args:
+        known: ``known_mask`` of the maps, float32 [*B, N, H, W].
+        target: bool [*B, H, W].
+    """
+    weights = target.flatten(-2).unsqueeze(-2).float()
+    return (weights @ known.flatten(-2).transpose(-1, -2)).squeeze(-2).long()
 
 
 def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
@@ -121,9 +128,9 @@ def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
         bool [*B, H, W].
     """
     *batch, height, width = obstacles.shape
-    free = to_bytes(~obstacles.reshape(-1, height, width))
+    free = mask(batch_last(~obstacles.reshape(-1, height, width), border=0))
     starts = with_robots(torch.zeros_like(obstacles), position)
-    labels, _ = flood(to_bytes(starts.reshape(-1, height, width)), free, free)
+    labels, _ = flood(batch_last(starts.reshape(-1, height, width), border=0), free, free)
     reached = (labels != 0)[1:-1, 1:-1].permute(2, 0, 1).contiguous()
     return reached.view(*batch, height, width)
 
@@ -147,12 +154,6 @@ def connected(obstacles: Tensor) -> Tensor:
     start = torch.stack((first // width, first % width), -1)
     reachable = reachable_cells(obstacles, start).flatten(-2)
     return (reachable | ~free).all(-1)
-
-
-def known_targets(grid: Tensor, target: Tensor) -> Tensor:
-    """Target cells [*B, H, W] that each robot's map [*B, N, H, W] knows, int64 [*B, N]."""
-    known = known_mask(grid) * target.unsqueeze(-3).to(grid.dtype)
-    return known.flatten(-2).float().sum(-1).long()
 
 
 def cells_of_share(share: float, cells: Tensor) -> Tensor:

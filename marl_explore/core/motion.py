@@ -7,24 +7,22 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import NUM_DIRECTIONS, action_offsets, neighbors, with_robots
+from marl_explore.core.grid import NUM_DIRECTIONS, OPEN, WALL, action_offsets, ring
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.radio import has_neighbor
 
 
-def open_moves(obstacles: Tensor, position: Tensor) -> Tensor:
+def open_moves(view: Tensor) -> Tensor:
     """Moves without a danger that is visible before anyone moves, bool [*B, N, 8].
 
     A move is open unless its target is outside, is an obstacle or holds a robot, or it is a
     diagonal between two obstacles.
 
     Args:
-        obstacles: bool [*B, H, W].
-        position: int64 [*B, N, 2].
+        view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
     """
-    wall = neighbors(obstacles, position, outside=True)
-    taken = neighbors(with_robots(obstacles, position), position, outside=True)
-    return ~(taken | closed_diagonals(wall))
+    around = ring(view)
+    return (around == OPEN) & ~closed_diagonals(around == WALL)
 
 
 def action_mask(open_moves: Tensor, reach: Tensor) -> Tensor:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+import torch
 from torch import Tensor
 
 from marl_explore.config import TOLERANCE
 
-_FARTHEST = 2**62
-"""More than the squared distance of any two cells; infinite ranges end here (int64)."""
+_FARTHEST = 2.0**50
+"""More than the squared distance of any two cells; infinite ranges end here."""
 
 
 def in_range(position: Tensor, range_cells: float) -> Tensor:
@@ -19,10 +20,11 @@ def in_range(position: Tensor, range_cells: float) -> Tensor:
         position: int64 [*B, N, 2].
         range_cells: communication range (cells; may be infinite).
     """
-    row, column = ((x.unsqueeze(-1) - x.unsqueeze(-2)).square() for x in position.unbind(-1))
-    # whole squared distances, so that no rounding of square roots decides
-    limit = min((range_cells + TOLERANCE) ** 2, float(_FARTHEST))
-    return row + column <= math.floor(limit)
+    cells = position.double()
+    distance = torch.cdist(cells, cells, compute_mode="donot_use_mm_for_euclid_dist")
+    # squared distances are whole numbers: half-way to the next no rounding decides
+    limit = math.floor(min((range_cells + TOLERANCE) ** 2, _FARTHEST))
+    return distance < math.sqrt(limit + 0.5)
 
 
 def has_neighbor(reach: Tensor) -> Tensor:
@@ -40,9 +42,11 @@ def networks(reach: Tensor, communicating: Tensor) -> Tensor:
     Returns:
         bool [*B, N, N], True on the diagonal for members; networks have at least two members.
     """
-    joined = (reach & communicating.unsqueeze(-1) & communicating.unsqueeze(-2)).float()
     robots = communicating.shape[-1]
+    pairs = reach & communicating.unsqueeze(-1) & communicating.unsqueeze(-2)
+    # the batch comes last, so that every operation runs over whole vectors of arenas
+    joined = pairs.view(-1, robots, robots).permute(1, 2, 0).to(torch.uint8).contiguous()
     for _ in range((robots - 1).bit_length()):  # each pass doubles the length of the chains
-        joined = (joined @ joined).clamp_max(1)
-    members = joined.sum(-1, keepdim=True)
-    return (joined > 0) & (members > 1)
+        joined = (joined.unsqueeze(2) & joined).amax(1)
+    members = joined.sum(1, keepdim=True) > 1
+    return (joined * members).permute(2, 0, 1).contiguous().bool().view(reach.shape)

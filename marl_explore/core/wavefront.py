@@ -14,12 +14,18 @@ ALL = 255
 """A byte mask that lets every label through; 0 lets none."""
 
 
-def to_bytes(grids: Tensor) -> Tensor:
-    """Bool grids [M, H, W] as byte masks with the batch last and a closed border, [H+2, W+2, M]."""
+def batch_last(grids: Tensor, border: int) -> Tensor:
+    """Grids [M, H, W] with the batch last and a border around, uint8 [H+2, W+2, M]."""
     count, height, width = grids.shape
-    masks = torch.zeros(height + 2, width + 2, count, dtype=torch.uint8, device=grids.device)
-    masks[1:-1, 1:-1] = grids.permute(1, 2, 0)
-    return masks.mul_(ALL)
+    shape = (height + 2, width + 2, count)
+    padded = torch.full(shape, border, dtype=torch.uint8, device=grids.device)
+    padded[1:-1, 1:-1] = grids.permute(1, 2, 0)
+    return padded
+
+
+def mask(bits: Tensor) -> Tensor:
+    """0 and 1 as the byte masks 0 and ALL, in place."""
+    return bits.mul_(ALL)
 
 
 def flood(
@@ -37,14 +43,15 @@ def flood(
             host synchronisation); None: as long as there are any.
 
     Returns:
-        labels uint8 and distances int32 (0 where never reached), both [H+2, W+2, M].
+        labels uint8 and distances int32, both [H+2, W+2, M]; distances mean something only where
+        there are labels.
     """
     front = front & fresh
     labels = front.clone()
     fresh = fresh & _closed(front)
-    # how many levels each cell waited to be reached; a byte overflows in long mazes
-    narrow = fresh.shape[0] * fresh.shape[1] < 256
-    waited = (fresh & 1).to(torch.uint8 if narrow else torch.int32)
+    # how many levels each cell waited to be reached: a mask is -1 in byte arithmetic
+    waited = torch.zeros_like(fresh).sub_(fresh)
+    earlier: Tensor | int = 0
     sideways, upright = torch.zeros_like(front), torch.zeros_like(front)
     level = 1
     while levels is None or level < levels:
@@ -55,8 +62,11 @@ def flood(
             break
         labels |= front
         fresh &= _closed(front)
-        waited += fresh & 1
-    return labels, (waited.to(torch.int32) + 1).mul_(labels != 0)
+        waited -= fresh
+        if level % ALL == 0:  # more a byte cannot count
+            earlier = waited.int() + earlier
+            waited.zero_()
+    return labels, (waited.int() + earlier).add_(1)
 
 
 def _closed(front: Tensor) -> Tensor:

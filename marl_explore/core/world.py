@@ -8,8 +8,24 @@ import torch
 from torch import Tensor
 
 from marl_explore.config import ArenaConfig
-from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN, other_robots, with_robots
-from marl_explore.core.mapping import known_cells, known_targets, merge, sense, target_cells
+from marl_explore.core.grid import (
+    COMMUNICATE,
+    NUM_DIRECTIONS,
+    UNKNOWN,
+    bordered,
+    other_robots,
+    surroundings,
+    with_robots,
+)
+from marl_explore.core.mapping import (
+    draw,
+    known_cells,
+    known_mask,
+    known_targets,
+    merge,
+    sense,
+    target_cells,
+)
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
 from marl_explore.core.radio import in_range, networks
 from marl_explore.core.rewards import StepRecord
@@ -23,6 +39,8 @@ class WorldState(NamedTuple):
 
     obstacles: Tensor
     """Static obstacles, bool [*B, H, W]."""
+    walls: Tensor
+    """``grid.bordered`` obstacles, int8 [*B, H + 2k, W + 2k]."""
     target: Tensor
     """Cells to be mapped, bool [*B, H, W]; follows from obstacles and positions."""
     map: Tensor
@@ -35,6 +53,8 @@ class WorldState(NamedTuple):
     """Steps since i and j were in one network, int64 [*B, N, N]; NEVER before; 0 for j = i."""
     step_count: Tensor
     """Steps of the episode so far, int64 [*B, 1]."""
+    view: Tensor
+    """``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1]; follows from obstacles, positions."""
     action_mask: Tensor
     """Allowed actions, bool [*B, N, 10]; follows from obstacles and positions."""
     known: Tensor
@@ -54,14 +74,16 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
     unknown = torch.full(
         (*batch, robots, height, width), UNKNOWN, dtype=torch.int8, device=obstacles.device
     )
-    grid = sense(unknown, obstacles, position, config.fov_radius, config.occlusion)
+    walls = bordered(obstacles, config.fov_radius)
+    view = surroundings(walls, position, config.fov_radius, config.occlusion)
+    grid, discovered = sense(unknown, view, position)
     others = other_robots(robots, position.device)
     return resume(
         config,
         obstacles,
         position,
         grid,
-        unshared=known_cells(grid).unsqueeze(-1) * others,
+        unshared=discovered.unsqueeze(-1) * others,
         steps_since_merge=(NEVER * others).expand(*batch, robots, robots).clone(),
         step_count=position.new_zeros(*batch, 1),
     )
@@ -77,18 +99,20 @@ def resume(
     step_count: Tensor,
 ) -> WorldState:
     """State of an episode under way, from all that does not follow from something else."""
+    walls = bordered(obstacles, config.fov_radius)
+    view = surroundings(walls, position, config.fov_radius, config.occlusion)
     return WorldState(
         obstacles=obstacles,
+        walls=walls,
         target=target_cells(obstacles, position),
         map=map,
         position=position,
         unshared=unshared,
         steps_since_merge=steps_since_merge,
         step_count=step_count,
-        action_mask=action_mask(
-            open_moves(obstacles, position), in_range(position, config.communication_cells)
-        ),
-        known=known_cells(map),
+        view=view,
+        action_mask=action_mask(open_moves(view), in_range(position, config.communication_cells)),
+        known=known_cells(known_mask(map)),
     )
 
 
@@ -108,23 +132,25 @@ def advance(
     visible = state.action_mask[..., :NUM_DIRECTIONS]
     dangerous = dangerous_moves(visible, state.position, action)
     position = move(state.position, action, dangerous)
-    sensed = sense(state.map, state.obstacles, position, config.fov_radius, config.occlusion)
+    view = surroundings(state.walls, position, config.fov_radius, config.occlusion)
+    sensed, discovered = sense(state.map, view, position)
     reach = in_range(position, config.communication_cells)
     network = networks(reach, action == COMMUNICATE)
-    merged = merge(sensed, network)
+    knowledge = merge(known_mask(sensed), network)
 
-    known_sensed, known = known_cells(sensed), known_cells(merged)
-    discovered = known_sensed - state.known
+    known = known_cells(knowledge)
+    targets = num_targets(state).unsqueeze(-1)
     others = other_robots(action.shape[-1], action.device)
     unshared = state.unshared + discovered.unsqueeze(-1) * others
     waited = (state.steps_since_merge + others).clamp_max(NEVER)
     after = state._replace(
-        map=merged,
+        map=draw(knowledge, state.obstacles),
         position=position,
         unshared=unshared.masked_fill(network, 0),
         steps_since_merge=waited.masked_fill(network, 0),
         step_count=state.step_count + 1,
-        action_mask=action_mask(open_moves(state.obstacles, position), reach),
+        view=view,
+        action_mask=action_mask(open_moves(view), reach),
         known=known,
     )
     record = StepRecord(
@@ -132,10 +158,10 @@ def advance(
         dangerous=dangerous,
         network=network,
         discovered=discovered,
-        received=known - known_sensed,
+        received=known - state.known - discovered,
         known=known,
         unshared=unshared,
-        complete=(known_targets(merged, state.target) == num_targets(state).unsqueeze(-1)).any(-1),
+        complete=(known_targets(knowledge, state.target) == targets).any(-1),
         num_cells=config.num_cells,
         max_discovery=config.max_discovery,
     )

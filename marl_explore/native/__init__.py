@@ -38,7 +38,8 @@ def _library() -> ctypes.CDLL | OSError:
         return error
     function = library.marl_explore_frontier_tables
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    function.argtypes = [pointer, pointer, integer, integer, integer, ctypes.c_int, pointer]
+    number = ctypes.c_int
+    function.argtypes = [pointer, pointer, integer, integer, integer, number, number, pointer]
     function.restype = ctypes.c_int
     return library
 
@@ -56,7 +57,7 @@ def backend() -> str:
 
 
 @torch.library.custom_op("marl_explore::frontier_table", mutates_args=())
-def _frontier_table(grid: Tensor, position: Tensor, mode: int) -> Tensor:
+def _frontier_table(grid: Tensor, position: Tensor, mode: int, rows: bool = True) -> Tensor:
     height, width = grid.shape[-2:]
     table = torch.empty(*grid.shape[:-2], NUM_DIRECTIONS, 3)
     grid, position = grid.contiguous(), position.contiguous()
@@ -74,6 +75,7 @@ def _frontier_table(grid: Tensor, position: Tensor, mode: int) -> Tensor:
             height,
             width,
             mode,
+            rows,
             table.data_ptr() + first * NUM_DIRECTIONS * 3 * table.element_size(),
         )
 
@@ -98,24 +100,32 @@ if hasattr(os, "register_at_fork"):  # threads do not survive a fork
 
 
 @_frontier_table.register_fake
-def _(grid: Tensor, position: Tensor, mode: int) -> Tensor:
+def _(grid: Tensor, position: Tensor, mode: int, rows: bool = True) -> Tensor:
     return grid.new_empty(*grid.shape[:-2], NUM_DIRECTIONS, 3, dtype=torch.float32)
 
 
 @_frontier_table.register_vmap
 def _(
-    info: object, in_dims: tuple[int | None, ...], grid: Tensor, position: Tensor, mode: int
+    info: object,
+    in_dims: tuple[int | None, ...],
+    grid: Tensor,
+    position: Tensor,
+    mode: int,
+    rows: bool = True,
 ) -> tuple[Tensor, int]:
     size = info.batch_size  # type: ignore[attr-defined]
     batched = [
         x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)
         for x, dim in zip((grid, position), in_dims, strict=False)
     ]
-    return _frontier_table(*batched, mode), 0
+    return _frontier_table(*batched, mode, rows), 0
 
 
 def feature_table(
-    grid: Tensor, position: Tensor, normalize: Normalization | None = "relative"
+    grid: Tensor,
+    position: Tensor,
+    normalize: Normalization | None = "relative",
+    rows: bool = True,
 ) -> Tensor:
     """``core.frontier.feature_table`` in C: the same numbers to the last bit, on the CPU.
 
@@ -123,6 +133,8 @@ def feature_table(
         grid: maps, int8 [*B, H, W].
         position: int64 [*B, 2], inside the maps.
         normalize: "relative", "proximity", "absolute" or None.
+        rows: whether small grids may be searched a row at a time, the fast way; False searches
+            all of them by queue, as on compilers without vectors.
 
     Returns:
         float32 [*B, 8, 3].
@@ -141,4 +153,4 @@ def feature_table(
             f"position must be int64 of shape {(*grid.shape[:-2], 2)}, got {position.dtype} of "
             f"shape {tuple(position.shape)}"
         )
-    return _frontier_table(grid, position, _MODES[normalize])
+    return _frontier_table(grid, position, _MODES[normalize], rows)

@@ -1,10 +1,9 @@
 /* The frontier feature table of many robots (core/frontier.py says what it means).
  *
  * Plain C99, no dependency but the standard library; one call is one thread's share of robots.
- * Two searches give the same table: on small grids label sets spread over a whole grid at a time
- * in byte operations that compilers vectorise; on large ones a breadth-first queue visits every
- * cell once. Seeded in the order of the directions, the queue meets every cell first from the
- * lowest direction, which is the rule for ties.
+ * Two searches give the same table. A breadth-first queue visits every cell once: any grid, any
+ * compiler. On small grids, with compilers that know vectors, sets of labels spread over whole rows
+ * of cells at a time, which is several times faster.
  */
 #include <math.h>
 #include <stdint.h>
@@ -14,95 +13,22 @@
 enum { UNKNOWN = -1, FREE = 0, OCCUPIED = 1 };
 enum { RAW = 0, RELATIVE = 1, PROXIMITY = 2, ABSOLUTE = 3 };
 enum { DIRECTIONS = 8, FEATURES = 3 };
+enum { ALIGNMENT = 64 };
 
 static const int STEP_ROW[DIRECTIONS] = {-1, -1, 0, 1, 1, 1, 0, -1};
 static const int STEP_COLUMN[DIRECTIONS] = {0, 1, 1, 1, 0, -1, -1, -1};
-
-/* Above this many cells, visiting each once beats spreading over all of them level by level. */
-static const int64_t SPREAD_CELLS = 1024;
 
 typedef struct {
     int64_t number, total, squares;
 } Moments;
 
-/* A grid with a closed border: H + 2 rows of W + 1 cells, so that the left neighbour of a row's
- * first cell is the border cell at the end of the row above. Every array has a row and a block of
- * slack on both sides, so that whole blocks can be worked on, which compilers turn into one
- * instruction each. */
-enum { BLOCK = 16 };
-
 typedef struct {
-    int64_t height, width, stride, size;
-    int8_t *map;       /* cell codes; the border is occupied */
-    uint8_t *fresh;    /* 255 where a path may go on, 0 where it may not or has been */
-    uint8_t *passable; /* 255 where a diagonal beside the cell is not blocked by it */
-    uint8_t *frontier; /* 255 at frontiers */
-    uint8_t *labels;   /* set of first moves that reach the cell, one bit per direction */
-    uint8_t *distance; /* length of those paths, spreading only */
-    uint8_t *front, *sideways, *upright;
-    int32_t *queue, *length; /* searching by queue only */
-} Grid;
+    int64_t height, width;
+    const int8_t *end; /* of the maps of all robots */
+    void *memory;      /* work space of the search in use */
+} Task;
 
-static int64_t align(int64_t bytes) { return (bytes + 63) & ~(int64_t)63; }
-
-/* All of a grid's arrays in one block; NULL if there is no memory. */
-static uint8_t *allocate(Grid *grid, int64_t height, int64_t width) {
-    grid->height = height;
-    grid->width = width;
-    grid->stride = width + 1;
-    grid->size = (height + 2) * grid->stride + 1;
-    const int64_t slack = align(grid->stride + BLOCK);
-    const int64_t bytes = align(grid->size) + 2 * slack, cells = align(4 * grid->size);
-    uint8_t *memory = calloc(1, 9 * bytes + 2 * cells);
-    if (memory == NULL)
-        return NULL;
-    uint8_t **arrays[] = {&grid->fresh,    &grid->passable, &grid->frontier, &grid->labels,
-                          &grid->distance, &grid->front,    &grid->sideways, &grid->upright};
-    for (int i = 0; i < 8; i++)
-        *arrays[i] = memory + i * bytes + slack;
-    grid->map = (int8_t *)memory + 8 * bytes + slack;
-    memset(grid->map - slack, OCCUPIED, bytes);
-    grid->queue = (int32_t *)(memory + 9 * bytes);
-    grid->length = (int32_t *)(memory + 9 * bytes + cells);
-    return memory;
-}
-
-static int64_t cell_at(const Grid *grid, int64_t row, int64_t column) {
-    return (row + 1) * grid->stride + column + 1;
-}
-
-/* Byte masks of a padded map of `size` cells. */
-static void mask_cells(const int8_t *restrict map, uint8_t *restrict fresh,
-                       uint8_t *restrict passable, uint8_t *restrict frontier, int64_t size,
-                       int64_t stride) {
-    for (int64_t b = 0; b < size; b += BLOCK)
-        for (int64_t i = b; i < b + BLOCK; i++) {
-            /* of the codes only UNKNOWN, -1, has the sign bit */
-            const int8_t beside = map[i - 1] | map[i + 1] | map[i - stride] | map[i + stride];
-            const uint8_t free = -(uint8_t)(map[i] == FREE);
-            fresh[i] = free;
-            passable[i] = -(uint8_t)(map[i] != OCCUPIED);
-            frontier[i] = free & -(uint8_t)(beside < 0);
-        }
-}
-
-static void read_map(const Grid *grid, const int8_t *map) {
-    for (int64_t row = 0; row < grid->height; row++)
-        memcpy(grid->map + cell_at(grid, row, 0), map + row * grid->width, grid->width);
-    mask_cells(grid->map, grid->fresh, grid->passable, grid->frontier, grid->size, grid->stride);
-}
-
-/* Whether one step from a cell is open: to a free cell, and not between two occupied ones. */
-static int open_step(const Grid *grid, int64_t cell, int direction) {
-    const int64_t row = STEP_ROW[direction] * grid->stride, column = STEP_COLUMN[direction];
-    return grid->fresh[cell + row + column] &&
-           (grid->passable[cell + row] | grid->passable[cell + column]);
-}
-
-static void count(Moments *moments, int64_t *longest, uint8_t labels, int64_t length) {
-    int direction = 0;
-    while (!(labels >> direction & 1))
-        direction++;
+static void count(Moments *moments, int64_t *longest, int direction, int64_t length) {
     moments[direction].number += 1;
     moments[direction].total += length;
     moments[direction].squares += length * length;
@@ -110,117 +36,287 @@ static void count(Moments *moments, int64_t *longest, uint8_t labels, int64_t le
         *longest = length;
 }
 
-/* A diagonal step is two straight half steps: first to the side, on passable cells ... */
-static void half_step(const uint8_t *restrict front, const uint8_t *restrict passable,
-                      uint8_t *restrict sideways, uint8_t *restrict upright, int64_t first,
-                      int64_t last, int64_t stride) {
-    for (int64_t b = first; b < last; b += BLOCK)
-        for (int64_t i = b; i < b + BLOCK; i++) {
-            sideways[i] = (front[i - 1] | front[i] | front[i + 1]) & passable[i];
-            upright[i] = (front[i - stride] | front[i + stride]) & passable[i];
+/* ------------------------------------------------------------------ search by queue */
+
+/* Cells of a grid with a border: `stride` bytes a row, so that the left neighbour of a row's first
+ * cell is the border cell at the end of the row above. */
+typedef struct {
+    int64_t stride;
+    int8_t *code;     /* UNKNOWN, FREE or OCCUPIED; the border is occupied */
+    uint8_t *fresh;   /* free cells that no path has come to */
+    uint8_t *label;   /* first move of the path to the cell */
+    int32_t *length;  /* moves to the cell */
+    int32_t *queue;
+} Grid;
+
+static int64_t padded_cells(const Task *task) {
+    return (task->height + 2) * (task->width + 1) + 1;
+}
+
+static int64_t queue_bytes(const Task *task) { return 11 * padded_cells(task); }
+
+static Grid read_grid(const Task *task, const int8_t *map) {
+    const int64_t cells = padded_cells(task);
+    Grid grid = {.stride = task->width + 1, .length = task->memory};
+    grid.queue = grid.length + cells;
+    grid.code = (int8_t *)(grid.queue + cells);
+    grid.fresh = (uint8_t *)grid.code + cells;
+    grid.label = grid.fresh + cells;
+    memset(grid.code, OCCUPIED, cells);
+    for (int64_t row = 0; row < task->height; row++)
+        memcpy(grid.code + (row + 1) * grid.stride + 1, map + row * task->width, task->width);
+    for (int64_t i = 0; i < cells; i++)
+        grid.fresh[i] = grid.code[i] == FREE;
+    return grid;
+}
+
+/* Of the codes only UNKNOWN, -1, is negative. */
+static int is_frontier(const Grid *grid, int64_t cell) {
+    const int8_t *code = grid->code + cell;
+    return (code[-1] | code[1] | code[-grid->stride] | code[grid->stride]) < 0;
+}
+
+/* The cell one step on, if the step is open: to a fresh cell, not between two occupied ones; else 0. */
+static int64_t open_step(const Grid *grid, int64_t cell, int direction) {
+    const int64_t row = STEP_ROW[direction] * grid->stride, column = STEP_COLUMN[direction];
+    const int walled = grid->code[cell + row] == OCCUPIED && grid->code[cell + column] == OCCUPIED;
+    return grid->fresh[cell + row + column] && !(row && column && walled) ? cell + row + column : 0;
+}
+
+/* Seeded in the order of the directions, a first-in-first-out queue comes to every cell first from
+ * the lowest direction, which is the rule for ties. */
+static void search(const Task *task, const int8_t *map, int64_t row, int64_t column,
+                   Moments *moments, int64_t *longest) {
+    const Grid grid = read_grid(task, map);
+    const int64_t start = (row + 1) * grid.stride + column + 1;
+    int64_t head = 0, tail = 0;
+    grid.fresh[start] = 0;
+    grid.length[start] = 0;
+    grid.queue[tail++] = (int32_t)start;
+    while (head < tail) {
+        const int64_t cell = grid.queue[head++];
+        if (cell != start && is_frontier(&grid, cell))
+            count(moments, longest, grid.label[cell], grid.length[cell]);
+        for (int d = 0; d < DIRECTIONS; d++) {
+            const int64_t next = open_step(&grid, cell, d);
+            if (!next)
+                continue;
+            grid.fresh[next] = 0;
+            grid.label[next] = cell == start ? (uint8_t)d : grid.label[cell];
+            grid.length[next] = grid.length[cell] + 1;
+            grid.queue[tail++] = (int32_t)next;
+        }
+    }
+}
+
+/* -------------------------------------------------------------------- search by rows */
+
+#ifdef __has_builtin
+#if __has_builtin(__builtin_shufflevector) && __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
+#define HAS_ROWS 1
+#endif
+#endif
+
+#ifdef HAS_ROWS
+
+/* A row of the arena is one or two blocks of cells, a byte each, with an empty row above the first
+ * and below the last. */
+enum { CELLS = 16, MOST_BLOCKS = 2, MOST_ROWS = 32, LONGEST = 255 };
+typedef uint8_t Block __attribute__((vector_size(16)));
+typedef Block Rows[(MOST_ROWS + 2) * MOST_BLOCKS];
+
+typedef struct {
+    Rows fresh;    /* 255 where a path may go on, 0 where it may not or has been */
+    Rows passable; /* 255 where a diagonal beside the cell is not blocked by it */
+    Rows frontier; /* 255 at frontiers */
+    Rows front;    /* first moves of the paths that have just come to the cell, one bit each */
+    Rows labels;   /* the same, of all cells that paths have come to */
+    Rows distance; /* length of those paths */
+    Rows unknown;  /* 255 at unknown cells */
+} Sheet;
+
+#define INLINE static inline __attribute__((always_inline)) /* for the number of blocks */
+
+/* OR of the east and west neighbours of all cells of a block of a row. */
+INLINE Block beside(const Block *row, int block, int blocks) {
+    const Block none = {0};
+    const Block west = block > 0 ? row[block - 1] : none;
+    const Block east = block + 1 < blocks ? row[block + 1] : none;
+    return __builtin_shufflevector(west, row[block], 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26,
+                                   27, 28, 29, 30) |
+           __builtin_shufflevector(row[block], east, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14,
+                                   15, 16);
+}
+
+/* Codes of the cells of a block; beyond the row's end they are occupied. */
+INLINE Block load(const Task *task, const int8_t *map, int64_t row, int block) {
+    static const uint8_t ramp[2 * CELLS] = {255, 255, 255, 255, 255, 255, 255, 255,
+                                            255, 255, 255, 255, 255, 255, 255, 255};
+    const int64_t left = task->width - block * CELLS;
+    const int8_t *from = map + row * task->width + block * CELLS;
+    Block code = {0}, inside;
+    if (from + CELLS <= task->end)
+        memcpy(&code, from, CELLS);
+    else
+        memcpy(&code, from, task->end - from);
+    memcpy(&inside, ramp + CELLS - (left < CELLS ? left : CELLS), CELLS);
+    return (code & inside) | (OCCUPIED & ~inside);
+}
+
+INLINE void read_rows(Sheet *sheet, const Task *task, const int8_t *map, int blocks) {
+    const int64_t first = blocks, last = (task->height + 1) * blocks;
+    const Block none = {0};
+    for (int b = 0; b < blocks; b++) {
+        sheet->unknown[b] = sheet->unknown[last + b] = none;
+        sheet->passable[b] = sheet->passable[last + b] = none;
+        sheet->front[b] = sheet->front[last + b] = none;
+    }
+    for (int64_t row = 0; row < task->height; row++)
+        for (int b = 0; b < blocks; b++) {
+            const Block code = load(task, map, row, b);
+            const int64_t i = first + row * blocks + b;
+            sheet->unknown[i] = (Block)(code == (uint8_t)UNKNOWN);
+            sheet->fresh[i] = (Block)(code == FREE);
+            sheet->passable[i] = (Block)(code != OCCUPIED);
+            sheet->front[i] = sheet->labels[i] = sheet->distance[i] = none;
+        }
+    for (int64_t row = first; row < last; row += blocks)
+        for (int b = 0; b < blocks; b++) {
+            const Block *unknown = sheet->unknown + row;
+            sheet->frontier[row + b] =
+                sheet->fresh[row + b] &
+                (unknown[b - blocks] | unknown[b + blocks] | beside(unknown, b, blocks));
         }
 }
 
-/* ... then on to fresh cells, which become the front and are closed; returns 0 if there are none. */
-static int other_half(const uint8_t *restrict sideways, const uint8_t *restrict upright,
-                      uint8_t *restrict fresh, uint8_t *restrict front, uint8_t *restrict labels,
-                      uint8_t *restrict distance, uint8_t level, int64_t first, int64_t last,
-                      int64_t stride) {
-    uint8_t any[BLOCK] = {0};
-    for (int64_t b = first; b < last; b += BLOCK)
-        for (int64_t k = 0; k < BLOCK; k++) {
-            const int64_t i = b + k;
-            const uint8_t reached = (sideways[i - stride] | sideways[i] | sideways[i + stride] |
-                                     upright[i - 1] | upright[i + 1]) &
-                                    fresh[i];
-            const uint8_t new = -(uint8_t)(reached != 0);
-            front[i] = reached;
-            labels[i] |= reached;
-            distance[i] |= level & new;
-            fresh[i] &= ~new;
-            any[k] |= reached;
+/* The first moves to the neighbours of the start, in front and labels. */
+INLINE void seed(Sheet *sheet, const Task *task, int64_t row, int64_t column, int blocks) {
+    const int64_t stride = CELLS * blocks, start = (row + 1) * stride + column;
+    uint8_t *fresh = (uint8_t *)sheet->fresh, *front = (uint8_t *)sheet->front;
+    const uint8_t *passable = (uint8_t *)sheet->passable;
+    int64_t seeds[DIRECTIONS];
+    int number = 0;
+    fresh[start] = 0;
+    for (int d = 0; d < DIRECTIONS; d++) {
+        const int64_t up = STEP_ROW[d] * stride, side = STEP_COLUMN[d], next = start + up + side;
+        if (row + STEP_ROW[d] < 0 || row + STEP_ROW[d] >= task->height || column + side < 0 ||
+            column + side >= task->width)
+            continue;
+        if (fresh[next] && (passable[start + up] | passable[start + side])) {
+            front[next] = ((uint8_t *)sheet->labels)[next] = (uint8_t)(1 << d);
+            ((uint8_t *)sheet->distance)[next] = 1;
+            seeds[number++] = next;
         }
-    uint64_t words[BLOCK / 8];
-    memcpy(words, any, sizeof words);
+    }
+    while (number > 0)
+        fresh[seeds[--number]] = 0;
+}
+
+/* One step of all paths, rows `first` to `last`; returns whether any of them came to a new cell.
+ * A diagonal is two straight half steps; one order of them must not cross an occupied cell. */
+INLINE int advance(Sheet *sheet, uint8_t level, int64_t first, int64_t last, int blocks) {
+    Block above[MOST_BLOCKS], here[MOST_BLOCKS], below[MOST_BLOCKS]; /* front before the step */
+    Block half_above[MOST_BLOCKS], half[MOST_BLOCKS], half_below[MOST_BLOCKS]; /* sideways */
+    Block upright[MOST_BLOCKS], any = {0};
+    for (int b = 0; b < blocks; b++) {
+        const int64_t row = first * blocks, over = row - blocks;
+        above[b] = sheet->front[over + b];
+        here[b] = sheet->front[row + b];
+        half_above[b] =
+            (above[b] | beside(sheet->front + over, b, blocks)) & sheet->passable[over + b];
+        half[b] = (here[b] | beside(sheet->front + row, b, blocks)) & sheet->passable[row + b];
+    }
+    for (int64_t row = first * blocks; row <= last * blocks; row += blocks) {
+        const int64_t under = row + blocks;
+        for (int b = 0; b < blocks; b++) {
+            below[b] = sheet->front[under + b];
+            half_below[b] =
+                (below[b] | beside(sheet->front + under, b, blocks)) & sheet->passable[under + b];
+            upright[b] = (above[b] | below[b]) & sheet->passable[row + b];
+        }
+        for (int b = 0; b < blocks; b++) {
+            const int64_t i = row + b;
+            const Block reached =
+                (half_above[b] | half[b] | half_below[b] | beside(upright, b, blocks)) &
+                sheet->fresh[i];
+            const Block old = (Block)(reached == 0);
+            sheet->front[i] = reached;
+            sheet->labels[i] |= reached;
+            sheet->distance[i] |= level & ~old;
+            sheet->fresh[i] &= old;
+            any |= reached;
+            above[b] = here[b], here[b] = below[b];
+            half_above[b] = half[b], half[b] = half_below[b];
+        }
+    }
+    uint64_t words[2];
+    memcpy(words, &any, sizeof words);
     return (words[0] | words[1]) != 0;
 }
 
 /* The paths to all frontiers that have a label. */
-static void count_all(const Grid *grid, Moments *moments, int64_t *longest) {
-    for (int64_t b = grid->stride; b < grid->size; b += 8) {
-        uint64_t labels, frontiers;
-        memcpy(&labels, grid->labels + b, 8);
-        memcpy(&frontiers, grid->frontier + b, 8);
-        if (labels & frontiers) /* few words hold any */
-            for (int64_t i = b; i < b + 8; i++)
-                if (grid->labels[i] & grid->frontier[i])
-                    count(moments, longest, grid->labels[i], grid->distance[i]);
+INLINE void count_all(const Sheet *sheet, const Task *task, Moments *moments, int64_t *longest,
+                      int blocks) {
+    const uint8_t *labels = (const uint8_t *)sheet->labels;
+    const uint8_t *distance = (const uint8_t *)sheet->distance;
+    for (int64_t i = blocks; i < (task->height + 1) * blocks; i++) {
+        const Block found = (Block)((sheet->labels[i] & sheet->frontier[i]) != 0);
+        uint64_t words[2];
+        memcpy(words, &found, sizeof words);
+        for (int w = 0; w < 2; w++)
+            while (words[w] != 0) {
+                const int byte = __builtin_ctzll(words[w]) / 8;
+                const int64_t cell = i * CELLS + 8 * w + byte;
+                count(moments, longest, __builtin_ctz(labels[cell]), distance[cell]);
+                words[w] &= ~(UINT64_C(255) << 8 * byte);
+            }
     }
 }
 
-/* Label sets spread level by level; returns 0 if a path is longer than a byte can count. */
-static int spread(const Grid *grid, int64_t start, Moments *moments, int64_t *longest) {
-    const int64_t stride = grid->stride, height = grid->height;
-    uint8_t *cleared[] = {grid->labels, grid->front, grid->sideways, grid->upright, grid->distance};
-    for (int i = 0; i < 5; i++)
-        memset(cleared[i], 0, grid->size + BLOCK);
-    for (int d = 0; d < DIRECTIONS; d++) {
-        const int64_t next = start + STEP_ROW[d] * stride + STEP_COLUMN[d];
-        if (open_step(grid, start, d)) {
-            grid->front[next] = grid->labels[next] = (uint8_t)(1 << d);
-            grid->distance[next] = 1;
-        }
-    }
-    grid->fresh[start] = 0;
-    for (int d = 0; d < DIRECTIONS; d++) /* blocked diagonals stay fresh: a detour may lead there */
-        grid->fresh[start + STEP_ROW[d] * stride + STEP_COLUMN[d]] &=
-            -(uint8_t)(grid->front[start + STEP_ROW[d] * stride + STEP_COLUMN[d]] == 0);
-    for (int level = 2; level < 256; level++) {
+/* Returns 0 if a path is longer than a byte can count. */
+INLINE int spread(const Task *task, const int8_t *map, int64_t row, int64_t column,
+                  Moments *moments, int64_t *longest, int blocks) {
+    Sheet *sheet = task->memory;
+    read_rows(sheet, task, map, blocks);
+    seed(sheet, task, row, column, blocks);
+    for (int64_t level = 2; level <= LONGEST; level++) {
         /* only rows that the front can come to are looked at */
-        int64_t low = start / stride - level, high = start / stride + level + 1;
-        low = low < 1 ? 1 : low;
-        high = high > height ? height + 1 : high;
-        half_step(grid->front, grid->passable, grid->sideways, grid->upright, low * stride,
-                  high * stride, stride);
-        if (!other_half(grid->sideways, grid->upright, grid->fresh, grid->front, grid->labels,
-                        grid->distance, (uint8_t)level, low * stride, high * stride, stride)) {
-            count_all(grid, moments, longest);
+        const int64_t first = row + 1 - level, last = row + 1 + level;
+        if (!advance(sheet, (uint8_t)level, first < 1 ? 1 : first,
+                     last > task->height ? task->height : last, blocks)) {
+            count_all(sheet, task, moments, longest, blocks);
             return 1;
         }
     }
     return 0;
 }
 
-/* Breadth-first search; every cell keeps the label of the neighbour that found it first. */
-static void search(const Grid *grid, int64_t start, Moments *moments, int64_t *longest) {
-    int32_t *queue = grid->queue, *length = grid->length;
-    int64_t head = 0, tail = 0;
-    grid->fresh[start] = 0;
-    for (int d = 0; d < DIRECTIONS; d++) {
-        const int64_t next = start + STEP_ROW[d] * grid->stride + STEP_COLUMN[d];
-        if (!open_step(grid, start, d))
-            continue;
-        grid->labels[next] = (uint8_t)(1 << d);
-        length[next] = 1;
-        queue[tail++] = (int32_t)next;
-    }
-    for (int64_t i = 0; i < tail; i++)
-        grid->fresh[queue[i]] = 0;
-    while (head < tail) {
-        const int64_t cell = queue[head++];
-        if (grid->frontier[cell])
-            count(moments, longest, grid->labels[cell], length[cell]);
-        for (int d = 0; d < DIRECTIONS; d++) {
-            if (!open_step(grid, cell, d))
-                continue;
-            const int64_t next = cell + STEP_ROW[d] * grid->stride + STEP_COLUMN[d];
-            grid->fresh[next] = 0;
-            grid->labels[next] = grid->labels[cell];
-            length[next] = length[cell] + 1;
-            queue[tail++] = (int32_t)next;
-        }
-    }
+static int spreads(const Task *task) {
+    return task->height <= MOST_ROWS && task->width <= CELLS * MOST_BLOCKS;
 }
+
+static int spread_any(const Task *task, const int8_t *map, int64_t row, int64_t column,
+                      Moments *moments, int64_t *longest) {
+    return task->width <= CELLS ? spread(task, map, row, column, moments, longest, 1)
+                                : spread(task, map, row, column, moments, longest, 2);
+}
+
+static int64_t spread_bytes(void) { return sizeof(Sheet); }
+
+#else
+
+static int spreads(const Task *task) { return (void)task, 0; }
+
+static int spread_any(const Task *task, const int8_t *map, int64_t row, int64_t column,
+                      Moments *moments, int64_t *longest) {
+    return (void)task, (void)map, (void)row, (void)column, (void)moments, (void)longest, 0;
+}
+
+static int64_t spread_bytes(void) { return 0; }
+
+#endif
+
+/* ------------------------------------------------------------------------- the table */
 
 /* The same operations in the same order as core/frontier.py: the results agree to the last bit. */
 static void write_table(const Moments *moments, int64_t longest, int mode, int64_t height,
@@ -228,10 +324,9 @@ static void write_table(const Moments *moments, int64_t longest, int mode, int64
     double sum = 0, nearest = INFINITY;
     const double scale = longest > 1 ? (double)longest : 1.0;
     for (int d = 0; d < DIRECTIONS; d++) {
-        const double mean = (double)moments[d].total / (double)moments[d].number;
         sum += (double)moments[d].number;
-        if (moments[d].number > 0 && mean < nearest)
-            nearest = mean;
+        if (mode == PROXIMITY && moments[d].number > 0)
+            nearest = fmin(nearest, (double)moments[d].total / (double)moments[d].number);
     }
     if (sum < 1)
         sum = 1;
@@ -243,7 +338,7 @@ static void write_table(const Moments *moments, int64_t longest, int mode, int64
         }
         const double mean = total / number;
         const double spread_of = number * (double)moments[d].squares - total * total;
-        const double deviation = sqrt(spread_of) / number;
+        const double deviation = spread_of > 0 ? sqrt(spread_of) / number : 0.0;
         if (mode == RELATIVE || mode == PROXIMITY) {
             table[0] = (float)(number / sum);
             table[1] = (float)(mode == RELATIVE ? mean / scale : nearest / mean);
@@ -261,33 +356,32 @@ static void write_table(const Moments *moments, int64_t longest, int mode, int64
 }
 
 /* maps int8 [robots, height, width], positions int64 [robots, 2], tables float [robots, 8, 3];
- * mode one of RAW, RELATIVE, PROXIMITY, ABSOLUTE.
+ * mode one of RAW, RELATIVE, PROXIMITY, ABSOLUTE; `rows` 0 to search by queue only.
  * Returns 0, 1 when memory is out, or 2 when a position is outside its map. */
 int marl_explore_frontier_tables(const int8_t *maps, const int64_t *positions, int64_t robots,
-                                 int64_t height, int64_t width, int mode, float *tables) {
-    Grid grid;
-    uint8_t *memory = allocate(&grid, height, width);
+                                 int64_t height, int64_t width, int mode, int rows,
+                                 float *tables) {
+    Task task = {.height = height, .width = width, .end = maps + robots * height * width};
+    const int64_t bytes = queue_bytes(&task) > spread_bytes() ? queue_bytes(&task) : spread_bytes();
+    rows = rows && spreads(&task);
+    uint8_t *memory = malloc(bytes + ALIGNMENT);
     if (memory == NULL)
         return 1;
-    for (int64_t robot = 0; robot < robots; robot++) {
+    task.memory = memory + ALIGNMENT - (uintptr_t)memory % ALIGNMENT;
+    int outside = 0;
+    for (int64_t robot = 0; robot < robots && !outside; robot++) {
         const int8_t *map = maps + robot * height * width;
         const int64_t row = positions[2 * robot], column = positions[2 * robot + 1];
-        if (row < 0 || row >= height || column < 0 || column >= width) {
-            free(memory);
-            return 2;
-        }
-        const int64_t start = cell_at(&grid, row, column);
         Moments moments[DIRECTIONS];
         int64_t longest = 0;
         memset(moments, 0, sizeof moments);
-        read_map(&grid, map);
-        if (height * width > SPREAD_CELLS || !spread(&grid, start, moments, &longest)) {
-            read_map(&grid, map); /* a search that gave up has left its marks */
-            memset(grid.labels, 0, grid.size);
-            search(&grid, start, moments, &longest);
-        }
+        outside = row < 0 || row >= height || column < 0 || column >= width;
+        if (outside)
+            break;
+        if (!rows || !spread_any(&task, map, row, column, moments, &longest))
+            search(&task, map, row, column, moments, &longest);
         write_table(moments, longest, mode, height, width, tables + robot * DIRECTIONS * FEATURES);
     }
     free(memory);
-    return 0;
+    return outside ? 2 : 0;
 }

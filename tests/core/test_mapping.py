@@ -6,11 +6,13 @@ import pytest
 import torch
 from hypothesis import given
 
-from marl_explore.core.grid import UNKNOWN
+from marl_explore.core.grid import OCCUPIED, UNKNOWN, bordered, surroundings
 from marl_explore.core.mapping import (
     connected,
+    draw,
     field_of_view,
     known_cells,
+    known_mask,
     known_targets,
     merge,
     reachable_cells,
@@ -22,9 +24,13 @@ from tests.boards import arena, map_cells
 from tests.strategies import repeatable, scenarios
 
 
+def around(obstacles, position, radius=1, occlusion=False):
+    return surroundings(bordered(obstacles, radius), position, radius, occlusion)
+
+
 def view(board, radius=1, occlusion=False, robot=0):
     """What a robot's sensor reads, a string of 0 and 1 a row."""
-    values = field_of_view(*arena(board), radius, occlusion)[robot]
+    values = field_of_view(around(*arena(board), radius, occlusion))[robot]
     return ["".join(str(int(value)) for value in row) for row in values.tolist()]
 
 
@@ -32,7 +38,9 @@ def sensed(board, radius=1, occlusion=False):
     """The maps of all robots after sensing once."""
     obstacles, position = arena(board)
     unknown = torch.full((len(position), *obstacles.shape), UNKNOWN, dtype=torch.int8)
-    return sense(unknown, obstacles, position, radius, occlusion)
+    grid, discovered = sense(unknown, around(obstacles, position, radius, occlusion), position)
+    assert discovered.tolist() == known_cells(known_mask(grid)).tolist()
+    return grid
 
 
 def marked(cells):
@@ -163,7 +171,9 @@ def test_a_wider_sensor_writes_a_wider_square_cut_at_the_border():
 def test_sensing_keeps_what_was_known():
     obstacles, position = arena("0....")
     before = map_cells("???.?").unsqueeze(0)
-    assert sense(before, obstacles, position, 1).equal(map_cells("..?.?").unsqueeze(0))
+    grid, discovered = sense(before, around(obstacles, position), position)
+    assert grid.equal(map_cells("..?.?").unsqueeze(0))
+    assert discovered.tolist() == [2]
     assert before.equal(map_cells("???.?").unsqueeze(0))
 
 
@@ -184,16 +194,22 @@ def test_a_hidden_cell_stays_unknown_in_the_map():
 def test_hiding_does_not_erase_what_was_known():
     obstacles, position = arena(".#\n#0")
     before = map_cells(".?\n??").unsqueeze(0)
-    assert sense(before, obstacles, position, 1, True).equal(map_cells(".#\n#.").unsqueeze(0))
+    grid, discovered = sense(before, around(obstacles, position, occlusion=True), position)
+    assert grid.equal(map_cells(".#\n#.").unsqueeze(0))
+    assert discovered.tolist() == [3]
 
 
 # ---------------------------------------------------------------- merging
 
 
+def merged_maps(maps, network, obstacles):
+    return draw(merge(known_mask(maps), network), obstacles)
+
+
 def test_members_of_a_network_get_the_union_and_others_keep_theirs():
     maps = torch.stack([map_cells("#.???"), map_cells("??.??"), map_cells("????#")])
     network = torch.tensor([[True, True, False], [True, True, False], [False, False, False]])
-    merged = merge(maps, network)
+    merged = merged_maps(maps, network, map_cells("#...#") == OCCUPIED)
     assert merged.equal(torch.stack([map_cells("#..??"), map_cells("#..??"), map_cells("????#")]))
 
 
@@ -202,17 +218,18 @@ def test_networks_do_not_mix_their_maps():
     network = torch.eye(4, dtype=torch.bool)
     network[0, 2] = network[2, 0] = network[1, 3] = network[3, 1] = True
     expected = torch.stack([map_cells(board) for board in (".?.?", "?.?#", ".?.?", "?.?#")])
-    assert merge(maps, network).equal(expected)
+    assert merged_maps(maps, network, map_cells("...#") == OCCUPIED).equal(expected)
 
 
 def test_without_a_network_nothing_changes():
     maps = torch.stack([map_cells("#.???"), map_cells("??.??")])
-    assert merge(maps, torch.zeros(2, 2, dtype=torch.bool)).equal(maps)
+    nobody = torch.zeros(2, 2, dtype=torch.bool)
+    assert merged_maps(maps, nobody, map_cells("#....") == OCCUPIED).equal(maps)
 
 
 def test_known_cells_counts_free_and_occupied_ones():
-    assert known_cells(map_cells("??.\n#.?")).item() == 3
-    assert known_cells(map_cells("???")).item() == 0
+    assert known_cells(known_mask(map_cells("??.\n#.?"))).item() == 3
+    assert known_cells(known_mask(map_cells("???"))).item() == 0
 
 
 # ---------------------------------------------------------------- cells to map
@@ -263,7 +280,7 @@ def test_known_targets_counts_no_cells_beyond_the_targets():
     obstacles, position = arena("0.##.")
     target = target_cells(obstacles, position)  # the first three cells
     maps = torch.stack([map_cells("..?#."), map_cells("..#??")])
-    assert known_targets(maps, target).tolist() == [2, 3]
+    assert known_targets(known_mask(maps), target).tolist() == [2, 3]
 
 
 @pytest.mark.parametrize(

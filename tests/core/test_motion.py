@@ -6,9 +6,14 @@ import math
 
 import pytest
 
+from marl_explore.core.grid import bordered, surroundings
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
 from marl_explore.core.radio import in_range
 from tests.boards import ACTIONS, actions, arena
+
+
+def around(obstacles, position):
+    return surroundings(bordered(obstacles, 1), position, 1)
 
 
 def check(before, names, after, refused=frozenset()):
@@ -16,7 +21,7 @@ def check(before, names, after, refused=frozenset()):
     obstacles, position = arena(before)
     _, expected = arena(after)
     action = actions(names)
-    dangerous = dangerous_moves(open_moves(obstacles, position), position, action)
+    dangerous = dangerous_moves(open_moves(around(obstacles, position)), position, action)
     assert set(dangerous.nonzero().flatten().tolist()) == set(refused)
     assert move(position, action, dangerous).tolist() == expected.tolist()
 
@@ -45,7 +50,7 @@ def test_each_action_leads_to_its_cell(name, row, column):
         .0.
         ...
     """)
-    dangerous = dangerous_moves(open_moves(obstacles, position), position, actions(name))
+    dangerous = dangerous_moves(open_moves(around(obstacles, position)), position, actions(name))
     assert dangerous.tolist() == [False]
     assert move(position, actions(name), dangerous).tolist() == [[row, column]]
 
@@ -259,7 +264,7 @@ def test_a_diagonal_past_a_robot_that_stays_is_no_crossing():
 def offered(board, range_cells):
     """Names of the actions that the mask allows, one string a robot."""
     obstacles, position = arena(board)
-    mask = action_mask(open_moves(obstacles, position), in_range(position, range_cells))
+    mask = action_mask(open_moves(around(obstacles, position)), in_range(position, range_cells))
     return [
         " ".join(name for name, allowed in zip(ACTIONS, row, strict=True) if allowed)
         for row in mask.tolist()

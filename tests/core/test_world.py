@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN
-from marl_explore.core.mapping import field_of_view, known_cells, known_targets
+from marl_explore.core.mapping import field_of_view, known_cells, known_mask, known_targets
 from marl_explore.core.motion import action_mask, open_moves
 from marl_explore.core.radio import in_range
 from marl_explore.core.rewards import REWARDS
@@ -38,7 +38,7 @@ def named(name):
 
 
 def complete_maps(state):
-    return known_targets(state.map, state.target) == num_targets(state).unsqueeze(-1)
+    return known_targets(known_mask(state.map), state.target) == num_targets(state).unsqueeze(-1)
 
 
 # ---------------------------------------------------------------- against the oracle
@@ -55,14 +55,12 @@ def observed(config, state):
         "steps_since_merge": state.steps_since_merge,
         "step_count": state.step_count.squeeze(-1),
         "in_range": near,
-        "action_mask": action_mask(open_moves(state.obstacles, state.position), near),
-        "field_of_view": field_of_view(
-            state.obstacles, state.position, config.fov_radius, config.occlusion
-        ),
-        "known_cells": known_cells(state.map),
+        "action_mask": action_mask(open_moves(state.view), near),
+        "field_of_view": field_of_view(state.view),
+        "known_cells": known_cells(known_mask(state.map)),
         "target": state.target,
         "num_targets": num_targets(state),
-        "known_targets": known_targets(state.map, state.target),
+        "known_targets": known_targets(known_mask(state.map), state.target),
         "complete": complete_maps(state),
     }
 
@@ -132,7 +130,7 @@ def both_refused(before, action, record, cells):
     """Pairs with equal ``cells`` refused though neither saw a danger, bool [B, N, N]."""
     moving = action < NUM_DIRECTIONS
     direction = action.clamp_max(NUM_DIRECTIONS - 1).unsqueeze(-1)
-    is_open = open_moves(before.obstacles, before.position).gather(-1, direction).squeeze(-1)
+    is_open = open_moves(before.view).gather(-1, direction).squeeze(-1)
     innocent = moving & is_open & record.dangerous
     equal = (cells.unsqueeze(-2) == cells.unsqueeze(-3)).all(-1)
     others = ~torch.eye(action.shape[-1], dtype=torch.bool)
@@ -154,7 +152,7 @@ def crossing(config, before, action, after, record):
 
 def masked_action(config, before, action, after, record):
     near = in_range(before.position, config.communication_cells)
-    mask = action_mask(open_moves(before.obstacles, before.position), near)
+    mask = action_mask(open_moves(before.view), near)
     return ~mask.gather(-1, action.unsqueeze(-1))
 
 
