@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from marl_explore import arenas as suites
 from marl_explore.config import ArenaConfig, require_coverage, require_integer
 from marl_explore.core import mapping, motion, rewards, world
-from marl_explore.core.hashing import combine, text_key
+from marl_explore.core.hashing import stream_seed
 from marl_explore.core.world import WorldState
 from marl_explore.specs import exploration_specs
 
@@ -147,7 +147,7 @@ class ExplorationEnv(EnvBase):
     def _draw(self, rows: Tensor) -> WorldState:
         """The next episode's arenas of some rows."""
         self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
-        seed = int(combine(text_key(self.stream), self._seed))
+        seed = stream_seed(self.stream, self._seed)
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
         return world.start(self.config, obstacles, position)
 
