@@ -13,11 +13,26 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from marl_explore.arenas.caves import Caves
+from marl_explore.arenas.corridors import Corridors
+from marl_explore.arenas.generator import ArenaGenerator, Generator
+from marl_explore.arenas.mazes import Mazes
+from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.uniform import Uniform
 from marl_explore.config import ArenaConfig
 from marl_explore.core.world import check_starts
 
-Generator = Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]
+__all__ = [
+    "ArenaGenerator",
+    "Caves",
+    "Corridors",
+    "Generator",
+    "Mazes",
+    "Rooms",
+    "Uniform",
+    "list_suites",
+    "resolve",
+]
 
 SUITES: dict[str, Callable[[ArenaConfig], Generator]] = {"uniform": Uniform}
 
