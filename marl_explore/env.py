@@ -43,7 +43,8 @@ class ExplorationEnv(EnvBase):
     """Robots that map unknown arenas together; docs/environment.md describes rules and entries.
 
     Args:
-        config: the arena, its robots and their sensors.
+        config: the arena, its robots and their sensors; None: those that ``arenas`` brings, or
+            the paper's.
         num_envs: arenas B stepped at once; the batch size is [B].
         reward: "case1", "case2", "case2-literal", "team", or a callable on the step record.
         max_steps: episode length after which an arena is truncated (steps).
@@ -75,7 +76,7 @@ class ExplorationEnv(EnvBase):
         first_arena: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
-        config = config or ArenaConfig()
+        config = config or suites.default_config(arenas)
         require_integer("num_envs", num_envs, 1)
         require_integer("max_steps", max_steps, 1)
         require_integer("first_arena", first_arena, 0)
