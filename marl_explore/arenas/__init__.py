@@ -1,4 +1,4 @@
-"""Where arenas come from: suites by name, generators for any size.
+"""Where arenas come from: suites by name, generators for any size, and maps from files.
 
 A generator draws arenas as a pure function of numbers:
 ``generate(seed, arenas, episodes) -> (obstacles, positions)`` with int64 [A] arena indices and
@@ -15,6 +15,7 @@ from torch import Tensor
 from marl_explore.arenas.caves import Caves
 from marl_explore.arenas.corridors import Corridors
 from marl_explore.arenas.generator import ArenaGenerator, Generator
+from marl_explore.arenas.maps import MapArenas, load_map
 from marl_explore.arenas.mazes import Mazes
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.suites import Suite, list_suites, suite
@@ -27,12 +28,14 @@ __all__ = [
     "Caves",
     "Corridors",
     "Generator",
+    "MapArenas",
     "Mazes",
     "Rooms",
     "Suite",
     "Uniform",
     "default_config",
     "list_suites",
+    "load_map",
     "resolve",
     "suite",
 ]
