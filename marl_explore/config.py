@@ -26,6 +26,11 @@ def require_integer(name: str, value: object, low: int) -> None:
     )
 
 
+def require_positive(name: str, value: float, unit: str) -> None:
+    """Refuse what is no positive finite number."""
+    _require(0 < value < math.inf, name, value, f"it must be a positive finite number of {unit}")
+
+
 def require_coverage(name: str, value: float | None) -> None:
     """Refuse a share of coverage that ends no episode or all of them."""
     _require(value is None or 0 < value <= 1, name, value, "it must be None or lie in (0, 1]")
@@ -62,10 +67,7 @@ class ArenaConfig:
         require_integer("width", self.width, 1)
         require_integer("num_agents", self.num_agents, 1)
         for name in ("cell_size", "sensing_range"):
-            value = getattr(self, name)
-            _require(
-                0 < value < math.inf, name, value, "it must be a positive finite number of metres"
-            )
+            require_positive(name, getattr(self, name), "metres")
         _require(
             self.communication_range >= 0,
             "communication_range",

@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from marl_explore import arenas as suites
 from marl_explore.config import ArenaConfig, require_coverage, require_integer
 from marl_explore.core import mapping, motion, rewards, world
-from marl_explore.core.hashing import combine, text_key
+from marl_explore.core.hashing import stream_seed
 from marl_explore.core.world import WorldState
 from marl_explore.specs import exploration_specs
 
@@ -43,7 +43,8 @@ class ExplorationEnv(EnvBase):
     """Robots that map unknown arenas together; docs/environment.md describes rules and entries.
 
     Args:
-        config: the arena, its robots and their sensors.
+        config: the arena, its robots and their sensors; None: those that ``arenas`` brings, or
+            the paper's.
         num_envs: arenas B stepped at once; the batch size is [B].
         reward: "case1", "case2", "case2-literal", "team", or a callable on the step record.
         max_steps: episode length after which an arena is truncated (steps).
@@ -75,7 +76,7 @@ class ExplorationEnv(EnvBase):
         first_arena: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
-        config = config or ArenaConfig()
+        config = config or suites.default_config(arenas)
         require_integer("num_envs", num_envs, 1)
         require_integer("max_steps", max_steps, 1)
         require_integer("first_arena", first_arena, 0)
@@ -147,7 +148,7 @@ class ExplorationEnv(EnvBase):
     def _draw(self, rows: Tensor) -> WorldState:
         """The next episode's arenas of some rows."""
         self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
-        seed = int(combine(text_key(self.stream), self._seed))
+        seed = stream_seed(self.stream, self._seed)
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
         return world.start(self.config, obstacles, position)
 

@@ -1,25 +1,44 @@
-"""Where arenas come from: a registry of suites, each a pure function of numbers.
+"""Where arenas come from: suites by name, generators for any size, and maps from files.
 
-A suite is made for a configuration and then draws arenas:
+A generator draws arenas as a pure function of numbers:
 ``generate(seed, arenas, episodes) -> (obstacles, positions)`` with int64 [A] arena indices and
 episode numbers, bool [A, H, W] obstacles and int64 [A, N, 2] start cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from marl_explore.arenas.caves import Caves
+from marl_explore.arenas.corridors import Corridors
+from marl_explore.arenas.generator import ArenaGenerator, Generator
+from marl_explore.arenas.maps import MapArenas, load_map
+from marl_explore.arenas.mazes import Mazes
+from marl_explore.arenas.rooms import Rooms
+from marl_explore.arenas.suites import Suite, list_suites, suite
 from marl_explore.arenas.uniform import Uniform
 from marl_explore.config import ArenaConfig
 from marl_explore.core.world import check_starts
 
-Generator = Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]
-
-SUITES: dict[str, Callable[[ArenaConfig], Generator]] = {"uniform": Uniform}
+__all__ = [
+    "ArenaGenerator",
+    "Caves",
+    "Corridors",
+    "Generator",
+    "MapArenas",
+    "Mazes",
+    "Rooms",
+    "Suite",
+    "Uniform",
+    "default_config",
+    "list_suites",
+    "load_map",
+    "resolve",
+    "suite",
+]
 
 
 @dataclass(frozen=True)
@@ -51,19 +70,20 @@ class Checked:
         return obstacles, positions
 
 
-def list_suites() -> list[str]:
-    """Names of the arena suites, for ``ExplorationEnv(arenas=...)``."""
-    return sorted(SUITES)
-
-
 def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
     """The generator of a suite's name, or the callable itself.
 
     Raises:
-        ValueError: naming the known suites, for an unknown name.
+        ValueError: naming the known suites, for an unknown name; or the field of ``config`` in
+            which it differs from the suite.
     """
     if callable(arenas):
         return Checked(arenas, config)
-    if arenas not in SUITES:
-        raise ValueError(f"arenas={arenas!r} is unknown: use a callable or one of {list_suites()}")
-    return SUITES[arenas](config)
+    return Uniform(config) if arenas == "uniform" else suite(arenas).generator(config)
+
+
+def default_config(arenas: str | Generator) -> ArenaConfig:
+    """The configuration that arenas bring with them: a suite's, a generator's, or the paper's."""
+    if isinstance(arenas, ArenaGenerator):
+        return arenas.config
+    return ArenaConfig() if callable(arenas) or arenas == "uniform" else suite(arenas).config

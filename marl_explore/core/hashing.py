@@ -50,3 +50,8 @@ def combine(*parts: Tensor | int) -> Tensor:
 def text_key(text: str) -> int:
     """A number for a name, such as a stream of arenas."""
     return int(combine(*text.encode()))
+
+
+def stream_seed(stream: str, seed: int) -> int:
+    """The seed of one stream: what generators of arenas are given as their seed."""
+    return int(combine(text_key(stream), seed))

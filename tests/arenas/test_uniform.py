@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from marl_explore.arenas import list_suites, resolve
 from marl_explore.arenas.uniform import Uniform
 from marl_explore.config import ArenaConfig
 from tests import reference
@@ -103,7 +102,7 @@ def test_the_last_attempt_counts(monkeypatch):
     arenas = torch.arange(12)
 
     def drawn(attempts):
-        monkeypatch.setattr("marl_explore.arenas.uniform.MAX_ATTEMPTS", attempts)
+        monkeypatch.setattr("marl_explore.arenas.generator.MAX_ATTEMPTS", attempts)
         found = []
         for arena in arenas:
             try:
@@ -130,9 +129,3 @@ def first_attempt(config, seed, arena):
     obstacles = torch.zeros(config.num_cells, dtype=torch.bool)
     obstacles[order[: config.num_obstacles]] = True
     return obstacles.view(config.height, config.width)
-
-
-def test_unknown_suites_are_refused_with_the_known_ones():
-    assert "uniform" in list_suites()
-    with pytest.raises(ValueError, match=r"arenas='rooms' is unknown.*uniform"):
-        resolve("rooms", ArenaConfig())

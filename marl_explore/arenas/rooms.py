@@ -1,0 +1,61 @@
+"""Rooms with doors, by binary space partition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from torch import Tensor
+
+from marl_explore.arenas.generator import ArenaGenerator, Board, Draw, one_by_one
+
+SMALLEST = 5  # sides of rooms before they are split no further: 5 to 10 cells
+DOOR = 2  # cells, so that two robots can pass
+DOOR_EVERY = 12  # cells of a wall, so that long walls have several and teams can go round
+
+
+@dataclass(frozen=True)
+class Rooms(ArenaGenerator):
+    """Rectangular rooms: walls split the arena again and again, each with one door or more."""
+
+    def obstacles(self, keys: Tensor) -> Tensor:
+        """Obstacles bool [A, H, W], free cells connected."""
+        return one_by_one(self._board, keys, count=self.config.num_cells)
+
+    def _board(self, draw: Draw) -> Board:
+        board = np.zeros((self.config.height, self.config.width), bool)
+        # a wall runs along the rows of its view of the board: the board itself or its transpose
+        walls = _build_walls(board, draw)
+        for view, row, columns in walls:
+            _open_doors(view, row, columns, draw)
+        return board
+
+
+def _build_walls(board: Board, draw: Draw) -> list[tuple[Board, int, slice]]:
+    """Split the board into rooms; views, rows and columns of the walls."""
+    walls = []
+    regions = [(board, 0, 0, *board.shape)]
+    while regions:
+        view, top, left, height, width = regions.pop()
+        if width > height or (width == height and draw() % 2):
+            view, top, left, height, width = view.T, left, top, width, height
+        if height <= 2 * SMALLEST or width < DOOR:
+            continue
+        above = SMALLEST + draw() % (height - 2 * SMALLEST)
+        row, columns = top + above, slice(left, left + width)
+        view[row, columns] = True
+        walls.append((view, row, columns))
+        regions.append((view, top, left, above, width))
+        regions.append((view, row + 1, left, height - above - 1, width))
+    return walls
+
+
+def _open_doors(view: Board, row: int, columns: slice, draw: Draw) -> None:
+    """Doors where no other wall stands before or behind them."""
+    wall = view[row, columns]
+    clear = ~(view[row - 1, columns] | view[row + 1, columns])
+    # never empty: the first SMALLEST cells of a wall have rooms on both sides
+    places = np.flatnonzero(clear[1:] & clear[:-1])
+    for _ in range(1 + len(wall) // DOOR_EVERY):
+        place = places[draw() % len(places)]
+        wall[place : place + DOOR] = False

@@ -1,0 +1,118 @@
+"""Suites: frozen arenas under versioned names, usable in training."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from marl_explore import ArenaConfig, ExplorationEnv, make_env
+from marl_explore.arenas import Rooms, Uniform, list_suites, resolve, suite
+from marl_explore.arenas.suites import SUITES
+from marl_explore.core.hashing import stream_seed
+from tests.arenas.drawing import drawn
+
+IDS = [entry.id for entry in SUITES]
+
+
+def test_the_names():
+    assert list_suites() == ["uniform", *IDS]
+    assert set(IDS) >= {
+        "paper-12-v1",
+        "open-24-v1",
+        "rooms-32-v1",
+        "maze-32-v1",
+        "cave-48-v1",
+        "corridor-24-v1",
+    }
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_version_draws_the_arenas_it_always_drew(name):
+    assert suite(name).fingerprint() == suite(name).digest
+
+
+def test_the_fingerprint_is_that_of_the_arenas_of_a_fresh_environment():
+    one = suite("paper-12")
+    arenas = ExplorationEnv(arenas="paper-12", num_envs=200, stream="test", seed=0)
+    start = arenas.reset()
+    generate = one.make(one.config)
+    obstacles, positions = drawn(generate, 200, stream_seed("test", 0))
+    assert torch.equal(start["obstacles"], obstacles)
+    assert torch.equal(start["agents", "position"], positions)
+    assert one.fingerprint(199) != one.fingerprint(200)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_the_density_is_the_mean_share_of_obstacles(name):
+    entry = suite(name)
+    obstacles, _ = drawn(entry.make(entry.config), 200)
+    assert obstacles.float().mean().item() == pytest.approx(entry.config.obstacle_density, abs=0.01)
+
+
+def test_paper_12_is_the_uniform_arena_of_the_paper():
+    named, plain = (ExplorationEnv(arenas=name, num_envs=5) for name in ("paper-12", "uniform"))
+    assert (named.reset() == plain.reset()).all()
+
+
+def test_a_name_without_version_is_the_newest(monkeypatch):
+    assert suite("rooms-32") is suite("rooms-32-v1")
+    newer = [replace(suite("rooms-32"), version=version) for version in (10, 9)]
+    monkeypatch.setattr("marl_explore.arenas.suites.SUITES", (*SUITES, *newer))
+    assert suite("rooms-32").version == 10
+    assert suite("rooms-32-v1").version == 1
+
+
+@pytest.mark.parametrize("name", ["rooms", "rooms-32-v7", "rooms-32-v", ""])
+def test_unknown_suites_are_refused_with_the_known_ones(name):
+    with pytest.raises(ValueError, match=f"arenas='{name}' is unknown.*uniform.*rooms-32-v1"):
+        resolve(name, ArenaConfig())
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("rooms-32", {"height": 12}, r"config.height=12 .*='rooms-32-v1' has 32; .*\.config"),
+        ("maze-32-v1", {"width": 33}, r"config.width=33 .*='maze-32-v1' has 32"),
+        ("open-24", {"obstacle_density": 0.2}, r"config.obstacle_density=0.2 .* has 0.1"),
+    ],
+)
+def test_configurations_of_other_arenas_are_refused(name, change, message):
+    with pytest.raises(ValueError, match=message):
+        ExplorationEnv(replace(suite(name).config, **change), arenas=name)
+
+
+def test_robots_and_ranges_may_differ_from_the_suite():
+    config = ArenaConfig(height=32, width=32, num_agents=7, communication_range=9.0)
+    env = ExplorationEnv(config, num_envs=3, arenas="rooms-32")
+    plain = ExplorationEnv(num_envs=3, arenas="rooms-32")
+    assert torch.equal(env.reset()["obstacles"], plain.reset()["obstacles"])
+    assert env.config is config
+
+
+def test_without_a_configuration_the_arenas_bring_their_own():
+    assert ExplorationEnv(arenas="cave-48").config == suite("cave-48").config
+    rooms = Rooms(ArenaConfig(height=20, width=14, num_agents=2))
+    assert ExplorationEnv(arenas=rooms).config == rooms.config
+    assert ExplorationEnv(arenas=Uniform(ArenaConfig())).config == ArenaConfig()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_every_reset_in_a_training_run_draws_the_arena_of_its_episode(name):
+    """Arenas end at different times, and auto-reset moves each one to its own next episode."""
+    config = suite(name).config
+    ends = 60 / config.num_cells
+    env = make_env(config, 6, arenas=name, seed=4, first_arena=10, terminate_at_coverage=ends)
+    generate = suite(name).make(config)
+    seed, arenas, episodes = stream_seed("train", 4), torch.arange(6) + 10, torch.zeros(6).long()
+    torch.manual_seed(0)
+    td = env.reset()
+    for _ in range(60):
+        expected = generate(seed, arenas, episodes)
+        assert torch.equal(td["obstacles"], expected[0])
+        fresh = td["step_count"].squeeze(-1) == 0
+        assert torch.equal(td["agents", "position"][fresh], expected[1][fresh])
+        step, td = env.step_and_maybe_reset(env.rand_action(td))
+        episodes += step["next", "done"].squeeze(-1)
+    assert len(episodes.unique()) > 1
