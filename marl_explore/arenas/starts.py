@@ -7,7 +7,7 @@ from torch import Tensor
 
 from marl_explore.core.grid import with_robots
 from marl_explore.core.hashing import mix
-from marl_explore.core.wavefront import flood, to_bytes
+from marl_explore.core.wavefront import batch_last, flood, mask
 
 
 def scattered(order: Tensor, free: Tensor, count: int) -> Tensor:
@@ -57,10 +57,10 @@ def _path_levels(center: Tensor, free: Tensor, levels: int) -> Tensor:
     a connected arena cannot be among them.
     """
     here = with_robots(torch.zeros_like(free), center)
-    passable = to_bytes(free)
-    _, level = flood(to_bytes(here), passable, passable, levels=levels)
-    level = level[1:-1, 1:-1].permute(2, 0, 1)
-    return level.masked_fill(level == 0, levels + 1)
+    passable = mask(batch_last(free, border=0))
+    labels, level = flood(batch_last(here, border=0), passable, passable, levels=levels)
+    level = level.masked_fill(labels == 0, levels + 1)
+    return level[1:-1, 1:-1].permute(2, 0, 1)
 
 
 START_RULES = {"scattered": scattered, "clustered": clustered}
