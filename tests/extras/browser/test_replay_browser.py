@@ -71,6 +71,11 @@ class Page:
     def playing(self):
         return self.find("#play").get_attribute("aria-label") == "Pause"
 
+    def wait(self, condition):
+        from selenium.webdriver.support.ui import WebDriverWait
+
+        WebDriverWait(self.driver, 20, 0.05).until(lambda _: condition())
+
     @property
     def picture(self):
         return self.driver.execute_script("return document.getElementById('canvas').toDataURL()")
@@ -140,10 +145,9 @@ def test_play_advances_and_pause_stops(page):
     first = page.picture
     page.click("#play")
     assert page.playing
-    time.sleep(0.6)
+    page.wait(lambda: page.step >= 2)
     page.click("#play")
     step = page.step
-    assert step >= 2
     assert not page.playing
     time.sleep(0.4)
     assert page.step == step
@@ -153,8 +157,8 @@ def test_play_advances_and_pause_stops(page):
 def test_play_ends_at_the_end_and_then_starts_anew(page):
     page.scrub(page.last - 1)
     page.click("#play")
-    time.sleep(0.5)
-    assert (page.step, page.playing) == (page.last, False)
+    page.wait(lambda: not page.playing)
+    assert page.step == page.last
     page.click("#play")
     assert page.step < page.last
 
@@ -372,6 +376,5 @@ def test_dark_mode_has_colors_of_its_own(page):
     light = page.picture
     dark = [{"name": "prefers-color-scheme", "value": "dark"}]
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": dark})
-    time.sleep(0.2)
-    assert page.picture != light
+    page.wait(lambda: page.picture != light)
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
