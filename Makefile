@@ -1,5 +1,6 @@
-# make demo   learn, compare, draw: a few minutes        make test   the core test suite
-# make lint   format, lint, types, import contracts       make speed  speed measurements
+# make demo   learn, compare, draw: a few minutes       make speed     speed measurements
+# make test   the core test suite                       make test-all  also what needs other programs
+# make lint   format, lint, types, import contracts
 
 PYTHON ?= python3
 VENV := .venv
@@ -7,12 +8,16 @@ BIN := $(VENV)/bin
 # One thread per process: small batches gain nothing from more.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint speed clean
+.PHONY: demo test test-all lint speed clean
 
 demo: $(VENV)/installed
 	$(BIN)/python recipes/demo.py
 
 test: $(VENV)/installed-dev
+	$(BIN)/python -m pytest -n 2 tests --ignore=tests/extras
+
+test-all: $(VENV)/installed-extras
+	tests/extras/install.sh
 	$(BIN)/python -m pytest -n 2 tests
 
 lint: $(VENV)/installed-dev
@@ -37,6 +42,10 @@ $(VENV)/installed: pyproject.toml constraints.txt marl_explore/native/frontier.c
 
 $(VENV)/installed-dev: $(VENV)/installed
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
+	touch $@
+
+$(VENV)/installed-extras: $(VENV)/installed-dev
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser]"
 	touch $@
 
 clean:

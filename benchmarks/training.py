@@ -9,6 +9,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import torch
 
@@ -23,11 +24,11 @@ Product = tuple[int, int, int]
 def products(config: TrainConfig, widths: tuple[int, ...], rows: int) -> list[Product]:
     """The forward products (rows, inputs, outputs) of an MLP on a batch."""
     layers = (*widths[:1], *config.hidden, *widths[1:])
-    return [(rows, a, b) for a, b in zip(layers[:-1], layers[1:], strict=True)]
+    return [(rows, a, b) for a, b in pairwise(layers)]
 
 
 def with_gradients(forward: list[Product]) -> list[Product]:
-    """The same with the products of the backward pass: weights of all layers, inputs of all but one."""
+    """And those of the backward pass: for the weights of all layers, the inputs of all but one."""
     weights = [(a, rows, b) for rows, a, b in forward]
     inputs = [(rows, b, a) for rows, a, b in forward[1:]]
     return [*forward, *weights, *inputs]

@@ -66,11 +66,48 @@ def play(
     observation = env.reset()
     yield observation
     for _ in range(steps):
-        stepped = env.step(policy(observation))
+        # a copy, so that the action is not written into the observation that was handed out
+        stepped = env.step(policy(observation.clone(recurse=False)))
         observation = step_mdp(stepped, exclude_action=False)
         yield observation
         if until_done and observation["done"].all():
             return
+
+
+def watch(
+    policy: Actor,
+    config: ArenaConfig,
+    arena_index: int = 0,
+    steps: int = 300,
+    seed: int = 0,
+    stream: str = TEST_STREAM,
+) -> list[TensorDictBase]:
+    """The observations of one arena's episode until a robot's map is complete, batch [1].
+
+    Deterministic given the seed; for figures and replays.
+
+    Args:
+        policy: TensorDict in, action out.
+        config: arena and robots.
+        arena_index: which arena of the stream; row i of ``record`` is arena i.
+        steps: most steps to take.
+        seed: of the arena and of sampled actions; the global random state is left as it was.
+        stream: family of arenas.
+    """
+    require_integer("arena_index", arena_index, 0)
+    require_integer("steps", steps, 1)
+    require_integer("seed", seed, 0)
+    env = ExplorationEnv(
+        config,
+        max_steps=steps,
+        terminate_at_coverage=1.0,
+        seed=seed,
+        stream=stream,
+        first_arena=arena_index,
+    )
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(seed)
+        return list(play(policy, env, steps, until_done=True))
 
 
 def record(

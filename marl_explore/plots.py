@@ -9,15 +9,20 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.animation import (
+    AbstractMovieWriter,
+    FFMpegWriter,
+    FuncAnimation,
+    PillowWriter,
+)
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from tensordict import TensorDictBase
 from torch import Tensor
 
-# Okabe and Ito's palette: told apart with every kind of colour vision
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
+from marl_explore.palette import COLORS
+
 UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR = "#B8B8B8", "#FFFFFF", "#404040"
 STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
@@ -61,23 +66,40 @@ def coverage_figure(curves: Mapping[str, Tensor], path: str | Path) -> Path:
 def episode_animation(
     steps: Sequence[TensorDictBase], path: str | Path, arena: int = 0, frames_per_second: int = 8
 ) -> Path:
-    """A GIF of one arena's episode: the true arena, and every robot's own map.
+    """A GIF or MP4 of one arena's episode: the true arena, and every robot's own map.
 
     Args:
         steps: observations of one episode in order, each with batch [B] as an env returns them.
-        path: file ending in .gif.
+        path: file ending in .gif, or in .mp4 where ffmpeg is on the PATH.
         arena: row of the batch to show.
         frames_per_second: speed.
+
+    Raises:
+        ValueError: for another ending.
+        RuntimeError: for .mp4 without ffmpeg.
     """
+    path = Path(path)
+    writer = _movie_writer(path, frames_per_second)
     frames = [_Frame(step, arena) for step in steps]
     with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
         animation = FuncAnimation(
             figure, lambda t: draw(t), frames=len(frames), interval=1000 / frames_per_second
         )
-        path = Path(path)
-        animation.save(path, PillowWriter(fps=frames_per_second), dpi=80)
+        animation.save(path, writer, dpi=80)
     return path
+
+
+def _movie_writer(path: Path, frames_per_second: int) -> AbstractMovieWriter:
+    if path.suffix == ".gif":
+        return PillowWriter(fps=frames_per_second)
+    if path.suffix != ".mp4":
+        raise ValueError(f"path={str(path)!r} is not allowed: it must end in .gif or .mp4")
+    if not FFMpegWriter.isAvailable():
+        raise RuntimeError(
+            f"path={str(path)!r} cannot be written: .mp4 takes ffmpeg on the PATH, .gif nothing"
+        )
+    return FFMpegWriter(fps=frames_per_second)
 
 
 def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int = 0) -> Path:

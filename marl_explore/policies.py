@@ -7,7 +7,6 @@ the networks.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from torch import nn
 
 from marl_explore.config import Architecture, ArenaConfig
 from marl_explore.core.frontier import Normalization
+from marl_explore.files import whole_file
 from marl_explore.models import TeamActor, make_actor
 from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
 
@@ -129,9 +129,8 @@ def save_policy(policy: Policy, path: str | Path, info: Mapping[str, Any] | None
     weights = {name: tensor.contiguous() for name, tensor in policy.actors.state_dict().items()}
     if not path.parent.is_dir():
         raise ValueError(f"cannot save a policy to {path}: the folder does not exist")
-    unfinished = path.with_name(path.name + ".unfinished")
-    save_file(weights, unfinished, metadata)
-    os.replace(unfinished, path)
+    with whole_file(path) as unfinished:
+        save_file(weights, unfinished, metadata)
     return path
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shlex
 import sys
@@ -18,6 +17,7 @@ from torchrl.record import CSVLogger
 from tqdm import tqdm
 
 from marl_explore.config import TrainConfig
+from marl_explore.files import whole_file
 from marl_explore.policies import Policy, save_policy
 from marl_explore.trainer import Trainer
 
@@ -49,9 +49,8 @@ def require_new(path: str | Path) -> Path:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a file whole or not at all."""
-    unfinished = path.with_name(path.name + ".unfinished")
-    unfinished.write_text(json.dumps(content, indent=2, allow_nan=True) + "\n")
-    os.replace(unfinished, path)
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=2, allow_nan=True) + "\n")
 
 
 def provenance() -> dict[str, Any]:

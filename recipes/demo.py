@@ -15,6 +15,7 @@ from marl_explore import cli
 from marl_explore.config import PRESETS, require_integer
 
 MARK = "demo.txt"
+FILES = ("table.txt", "results.csv", "coverage.png", "episode.gif", "replay.html")
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,10 @@ def run(arguments: Arguments) -> None:
     import torch
 
     from marl_explore import metrics, plots, runs
-    from marl_explore.env import ExplorationEnv
-    from marl_explore.evaluation import find_policy, format_table, play, write_results
+    from marl_explore.evaluation import find_policy, format_table, watch, write_results
     from marl_explore.evaluation import record as record_episodes
     from marl_explore.planners import PLANNERS
+    from marl_explore.replay import write_replay
 
     torch.set_num_threads(arguments.threads)
     config = replace(PRESETS["fast"], seed=arguments.seed, episodes=arguments.episodes)
@@ -82,14 +83,14 @@ def run(arguments: Arguments) -> None:
         folder / "coverage.png",
     )
 
-    env = ExplorationEnv(config.arena, terminate_at_coverage=1.0, stream="test")
-    steps = play(learned, env, steps=100, until_done=True)
-    plots.episode_animation(list(steps), folder / "episode.gif")
+    watched = {n: watch(policies[n], config.arena, steps=100) for n in ("learned", "nearest-timer")}
+    plots.episode_animation(watched["learned"], folder / "episode.gif")
+    write_replay(watched, folder / "replay.html", config=config.arena, about=record["command"])
 
     _remove(out)
     folder.rename(out)
     print(format_table(results))
-    for name in ("table.txt", "results.csv", "coverage.png", "episode.gif", "training"):
+    for name in (*FILES, "training"):
         print(arguments.out / name)
 
 

@@ -47,20 +47,9 @@ def parse() -> Arguments:
         Arguments,
         prog="evaluate.py",
         description=__doc__,
-        default=Arguments((), _trained_arena(sys.argv[1:])),
+        default=Arguments((), cli.trained_arena(sys.argv[1:])),
         config=cli.OPTIONS,
     )
-
-
-def _trained_arena(words: list[str]) -> ArenaConfig:
-    """The arena of the first trained policy among the words of the command line."""
-    for word in words:
-        if not word.startswith("-"):
-            from marl_explore.evaluation import trained_arena
-
-            if (arena := trained_arena(word)) is not None:
-                return arena
-    return ArenaConfig()
 
 
 def run(arguments: Arguments) -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 
 import pytest
 import torch
 
 from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.core.grid import COMMUNICATE, action_offsets
 from marl_explore.evaluation import (
     evaluate,
     find_policy,
     format_table,
     play,
     record,
+    watch,
     write_results,
 )
 
@@ -50,6 +53,33 @@ def test_play_yields_the_reset_and_every_step_after_it():
     assert [int(s["step_count"].max()) for s in steps] == list(range(len(steps)))
     assert steps[-1]["done"].all()
     assert not steps[-2]["done"].all()
+
+
+def test_observations_of_play_that_are_kept_hold_the_action_that_led_to_them():
+    config = ArenaConfig(height=7, width=7, num_agents=3)
+    steps = list(play(find_policy("nearest-timer", config), ExplorationEnv(config, 4), steps=30))
+    assert ("agents", "action") not in steps[0].keys(True)
+    for before, after in itertools.pairwise(steps):
+        agents = after["agents"]
+        way = action_offsets(torch.device("cpu"))[agents["action"]]
+        way[agents["dangerous"]] = 0
+        assert torch.equal(before["agents", "position"] + way, agents["position"])
+        assert not (agents["merged"] & (agents["action"] != COMMUNICATE)).any()
+
+
+def test_watch_shows_one_of_the_arenas_of_record_until_it_is_complete():
+    policy = find_policy("nearest-timer", SMALL)
+    arenas = ExplorationEnv(SMALL, num_envs=4, stream="test").reset()["obstacles"]
+    before = torch.get_rng_state()
+    steps = watch(policy, SMALL, arena_index=3)
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(steps[0]["obstacles"][0], arenas[3])
+    assert steps[-1]["terminated"].all()
+    assert not steps[-2]["done"].any()
+    again = watch(policy, SMALL, arena_index=3)
+    assert torch.equal(again[-1]["agents", "map"], steps[-1]["agents", "map"])
+    with pytest.raises(ValueError, match="arena_index=-1"):
+        watch(policy, SMALL, arena_index=-1)
 
 
 def test_results_are_written_as_text_json_and_csv(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from PIL import Image
 
@@ -30,6 +31,15 @@ def test_episode_animation_has_a_frame_per_step(tmp_path):
     steps = an_episode()
     with Image.open(plots.episode_animation(steps, tmp_path / "episode.gif")) as image:
         assert image.n_frames == len(steps) == 7
+
+
+def test_an_animation_of_another_ending_or_without_its_program_is_refused(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match=r"path='a.avi' .* must end in .gif or .mp4"):
+        plots.episode_animation(an_episode(1), "a.avi")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(RuntimeError, match="takes ffmpeg on the PATH"):
+        plots.episode_animation(an_episode(1), tmp_path / "a.mp4")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_episode_figure_shows_unknown_free_and_occupied_cells(tmp_path):

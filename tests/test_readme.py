@@ -1,4 +1,4 @@
-"""The README's examples run as they stand."""
+"""The examples of the README and of docs/ run as they stand."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from pathlib import Path
 
 import pytest
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
-BLOCKS = [b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "..." not in b]
+ROOT = Path(__file__).parents[1]
+BLOCKS = [
+    (page, block)
+    for page in ("README.md", "docs/replay.md")
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    if "..." not in block
+]
 
 
 def test_there_are_examples():
-    assert len(BLOCKS) >= 2
+    assert {page for page, _ in BLOCKS} == {"README.md", "docs/replay.md"}
 
 
-@pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
-def test_example(block):
-    exec(compile(block, "README.md", "exec"), {})
+@pytest.mark.parametrize(("page", "block"), BLOCKS, ids=range(len(BLOCKS)))
+def test_example(page, block, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # examples may write files
+    exec(compile(block, page, "exec"), {})

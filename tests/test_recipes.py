@@ -60,8 +60,26 @@ def test_demo_makes_table_figure_and_animation(tmp_path):
     assert (folder / "table.txt").read_text().strip() in done.stdout
     assert (folder / "coverage.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "episode.gif").read_bytes().startswith(b"GIF8")
+    page = (folder / "replay.html").read_text()
+    assert '"name":"learned"' in page
+    assert '"name":"nearest-timer"' in page
+    assert str(Path("demo", "replay.html")) in done.stdout
     results = json.loads((folder / "results.json").read_text())["results"]
     assert list(results) == ["learned", "random", "nearest", "nearest-timer"]
+
+
+def test_replay_shows_every_policy_and_how_it_was_made(tmp_path):
+    small = (
+        "--height 6 --width 8 --num-agents 2 --arena-index 3 --steps 20 --out new/a.html".split()
+    )
+    done = recipe("replay.py", "nearest-timer", "random", *small, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(Path("new", "a.html"))
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.html"]
+    page = (tmp_path / "new" / "a.html").read_text()
+    assert '"name":"nearest-timer","height":6,"width":8' in page
+    assert '"name":"random"' in page
+    assert "--arena-index 3 --steps 20" in page
 
 
 def test_demo_does_not_replace_a_folder_it_did_not_make(tmp_path):
@@ -88,7 +106,9 @@ def test_minimal_happo_learns_within_100_lines():
     assert lengths[-1] < 0.8 * lengths[0]
 
 
-@pytest.mark.parametrize("name", ["train.py", "evaluate.py", "demo.py", "minimal_happo.py"])
+@pytest.mark.parametrize(
+    "name", ["train.py", "evaluate.py", "replay.py", "demo.py", "minimal_happo.py"]
+)
 def test_help(name):
     done = recipe(name, "--help")
     assert done.returncode == 0
@@ -107,6 +127,10 @@ def test_help(name):
         (["evaluate.py"], "name at least one policy"),
         (["evaluate.py", "random", "--num-arenas", "0"], "num_arenas=0"),
         (["evaluate.py", "random", "--steps", "-1"], "steps=-1"),
+        (["replay.py", "nobody"], "no policy 'nobody'"),
+        (["replay.py"], "name at least one policy"),
+        (["replay.py", "random", "--arena-index", "-1"], "arena_index=-1"),
+        (["replay.py", "random", "--steps", "0"], "steps=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
         (["demo.py", "--episodes", "1"], "episodes=1"),

@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# Installs the programs that the extra tests drive, where they are missing, from the system's
+# packages (apt): Chromium and its driver for tests/extras/browser, ffmpeg for tests/extras/video.
+set -euo pipefail
+
+packages=()
+command -v chromium >/dev/null || packages+=(chromium)
+command -v chromedriver >/dev/null || packages+=(chromium-driver)
+command -v ffmpeg >/dev/null || packages+=(ffmpeg)
+if [ ${#packages[@]} -eq 0 ]; then
+  exit 0
+fi
+
+as_root=()
+if [ "$(id -u)" -ne 0 ]; then
+  as_root=(sudo)
+fi
+if ! command -v apt-get >/dev/null || ! command -v "${as_root[0]:-env}" >/dev/null; then
+  echo "tests/extras need programs that are not on the PATH and cannot be installed here:" \
+    "${packages[*]} (names of Debian's packages)" >&2
+  exit 1
+fi
+echo "installing with apt-get: ${packages[*]}"
+"${as_root[@]}" apt-get update -q
+"${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+  apt-get install -q -y --no-install-recommends "${packages[@]}"
