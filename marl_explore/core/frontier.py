@@ -83,6 +83,27 @@ def nearest_frontier(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
     return nearest % NUM_DIRECTIONS, nearest // NUM_DIRECTIONS
 
 
+def paths(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+    """First move and length of the shortest path to every known-free cell.
+
+    Args:
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2]; the robot's cell need not be known.
+
+    Returns:
+        Directions int64 and lengths int64 (cells), [*B, H, W] each; both 0 in the robot's own cell
+        and where no path leads.
+    """
+    *batch, height, width = grid.shape
+    labels, distance, _ = _search(grid.reshape(-1, height, width), position.reshape(-1, 2), None)
+    distance = distance.mul_(labels != 0)
+
+    def cells(padded: Tensor) -> Tensor:
+        return padded[1:-1, 1:-1].permute(2, 0, 1).reshape(*batch, height, width)
+
+    return _lowest_bit(grid.device)[cells(labels).int()], cells(distance).long()
+
+
 class Trajectories(NamedTuple):
     """The shortest paths of a batch of robots to their frontiers; entries of length 0 are none."""
 
@@ -96,11 +117,8 @@ class Trajectories(NamedTuple):
 
 def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Trajectories:
     """Paths to all reachable frontiers of maps [M, H, W] from positions [M, 2]."""
-    codes = batch_last(grid + 1, border=OCCUPIED + 1)
-    known, passable = codes.clamp_max(1), mask((codes >> 1) ^ 1)  # codes are 0, 1 and 2 here
-    free = mask(codes.bitwise_and_(1))
-    labels, distance = flood(*_first_moves(position, free, passable), passable, levels)
-    labels[1:-1, 1:-1] &= free[1:-1, 1:-1] & _beside_unknown(known)
+    labels, distance, frontier = _search(grid, position, levels)
+    labels[1:-1, 1:-1] &= frontier
     # only the few frontiers are worth looking at; how many they are takes a host synchronisation
     labels, distance = labels.flatten(), distance.flatten()
     if levels is None:
@@ -112,6 +130,15 @@ def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Traject
     if levels is not None:
         length *= found.clamp_max(1)
     return Trajectories(cell % len(grid), _lowest_bit(grid.device)[found.int()], length)
+
+
+def _search(grid: Tensor, position: Tensor, levels: int | None) -> tuple[Tensor, Tensor, Tensor]:
+    """Labels and distances of ``flood`` from each robot, and a byte mask of the frontiers."""
+    codes = batch_last(grid + 1, border=OCCUPIED + 1)
+    known, passable = codes.clamp_max(1), mask((codes >> 1) ^ 1)  # codes are 0, 1 and 2 here
+    free = mask(codes.bitwise_and_(1))
+    labels, distance = flood(*_first_moves(position, free, passable), passable, levels)
+    return labels, distance, free[1:-1, 1:-1] & _beside_unknown(known)
 
 
 def _beside_unknown(known: Tensor) -> Tensor:

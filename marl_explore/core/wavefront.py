@@ -90,3 +90,36 @@ def _spread(front: Tensor, passable: Tensor, sideways: Tensor, upright: Tensor) 
     front |= sideways
     front[:, inner] |= upright[:, :-2]
     front[:, inner] |= upright[:, 2:]
+
+
+def all_distances(free: Tensor, longest: int = ALL) -> Tensor:
+    """Lengths of the shortest 8-connected paths between all cells, uint8 [M, H W, H W].
+
+    Args:
+        free: cells that paths may use, bool [M, H, W]; a diagonal is closed between two others.
+        longest: what longer paths, and cells that cannot be reached, count as, at most ALL.
+    """
+    count, height, width = free.shape
+    cells = height * width
+    size = -(-cells // 8)
+    bits = 1 << torch.arange(8, dtype=torch.uint8, device=free.device)
+    own = torch.nn.functional.pad(torch.eye(cells, device=free.device), (0, 8 * size - cells))
+    own = (own.view(cells, size, 8).byte() * bits).sum(-1, dtype=torch.uint8)
+    # a label is a target cell: eight to a byte, all bytes of all grids side by side
+    passable = mask(batch_last(free, border=0)).repeat_interleave(size, -1)
+    reached = torch.zeros_like(passable)
+    reached[1:-1, 1:-1] = own.view(height, width, 1, size).expand(-1, -1, count, -1).flatten(-2)
+    reached &= passable
+    sideways, upright = torch.zeros_like(reached), torch.zeros_like(reached)
+    distance = torch.zeros(height, width, count, size, 8, dtype=torch.uint8, device=free.device)
+    for _ in range(longest):
+        missing = ~reached[1:-1, 1:-1].reshape(height, width, count, size, 1)
+        distance += (missing & bits).clamp_max_(1)
+        before = reached.clone()
+        _spread(reached, passable, sideways, upright)
+        reached &= passable
+        if reached.equal(before):
+            break
+    unreached = ~reached[1:-1, 1:-1].reshape(height, width, count, size, 1)
+    distance.masked_fill_((unreached & bits).bool(), longest)
+    return distance.flatten(-2)[..., :cells].permute(2, 0, 1, 3).reshape(count, cells, cells)

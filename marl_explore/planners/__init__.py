@@ -1,4 +1,7 @@
-"""Classical policies behind the interface of an actor: TensorDict in, action out, batched."""
+"""Classical policies behind the interface of an actor: TensorDict in, action out, batched.
+
+Their parameters were tuned on arenas of the stream "validation" (docs/planners.md).
+"""
 
 from __future__ import annotations
 
@@ -7,19 +10,60 @@ from collections.abc import Callable
 from tensordict.nn import TensorDictModuleBase
 
 from marl_explore.config import ArenaConfig
-from marl_explore.planners.communication import PairTimer, never
+from marl_explore.planners.assignment import FrontierAssignment, UtilityCost, hungarian
+from marl_explore.planners.base import Planner
+from marl_explore.planners.beam import BeamSearch
+from marl_explore.planners.communication import GainThreshold, PairTimer, SharedClock, never
+from marl_explore.planners.greedy import FPRGreedy
+from marl_explore.planners.hedac import HEDAC
 from marl_explore.planners.nearest import NearestFrontier
 from marl_explore.planners.random import RandomWalk
+from marl_explore.planners.references import Central, Clairvoyant, counting_bound
+from marl_explore.planners.rendezvous import Rendezvous
 
-PAIR_TIMER_STEPS = 6
+
+def _timer(config: ArenaConfig, steps: int) -> PairTimer:
+    return PairTimer(steps, config.communication_cells)
+
+
+def _assignment(config: ArenaConfig, assign: UtilityCost, steps: int) -> FrontierAssignment:
+    return FrontierAssignment(_timer(config, steps), config.communication_cells, assign)
+
 
 PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "random": lambda config: RandomWalk(),
     "nearest": lambda config: NearestFrontier(never),
-    "nearest-timer": lambda config: NearestFrontier(
-        PairTimer(PAIR_TIMER_STEPS, config.communication_cells)
+    "nearest-timer": lambda config: NearestFrontier(_timer(config, 6)),
+    "fpr-greedy": lambda config: FPRGreedy(_timer(config, 5)),
+    "utility-cost": lambda config: _assignment(config, UtilityCost(0.1), 6),
+    "sequential": lambda config: _assignment(config, UtilityCost(0.1, by_number=True), 5),
+    "hungarian": lambda config: FrontierAssignment(
+        _timer(config, 5), config.communication_cells, hungarian
     ),
+    "hedac": lambda config: HEDAC(_timer(config, 5), config),
+    "rendezvous": lambda config: Rendezvous(config, SharedClock(12, 3, config.communication_cells)),
+    "central": Central,
+    "clairvoyant": Clairvoyant,
 }
-"""Planners by name, each made for a configuration."""
+"""Planners by name, each made for a configuration; the last two are references."""
 
-__all__ = ["PLANNERS", "NearestFrontier", "PairTimer", "RandomWalk", "never"]
+__all__ = [
+    "HEDAC",
+    "PLANNERS",
+    "BeamSearch",
+    "Central",
+    "Clairvoyant",
+    "FPRGreedy",
+    "FrontierAssignment",
+    "GainThreshold",
+    "NearestFrontier",
+    "PairTimer",
+    "Planner",
+    "RandomWalk",
+    "Rendezvous",
+    "SharedClock",
+    "UtilityCost",
+    "counting_bound",
+    "hungarian",
+    "never",
+]

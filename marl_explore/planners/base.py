@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -17,21 +19,40 @@ class Planner(TensorDictModuleBase):
 
     A robot whose last move was refused, or whose planned move is not allowed, makes a random
     allowed move instead: without this yield rule two robots that want to pass block each other.
+
+    Args:
+        communicate: when a robot communicates.
     """
 
     in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys so
-        ("agents", key)
-        for key in ("map", "position", "action_mask", "dangerous", "steps_since_merge", "merged")
+        "step_count",
+        *(
+            ("agents", key)
+            for key in (
+                "map",
+                "position",
+                "action_mask",
+                "dangerous",
+                "merged",
+                "steps_since_merge",
+                "unshared",
+            )
+        ),
     ]
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
+
+    sees: str = "own map, positions of robots in range"
+    """What a robot decides by."""
+    reference: bool = False
+    """Whether it uses what no robot can know: a yardstick, and no contender."""
 
     def __init__(self, communicate: CommunicationRule) -> None:
         super().__init__()
         self.communicate = communicate
 
+    @abstractmethod
     def plan(self, tensordict: TensorDictBase) -> Tensor:
-        """The wanted move or STAY of each robot, int64 [*B, N]."""
-        raise NotImplementedError
+        """The wanted move, STAY or COMMUNICATE of each robot, int64 [*B, N]."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
@@ -42,7 +63,7 @@ class Planner(TensorDictModuleBase):
         yielding = mask.clone()
         yielding[..., NUM_DIRECTIONS:] = False
         yielding[..., STAY] = ~yielding.any(-1)  # only where no move is open
-        blocked = (wanted != STAY) & (refused | ~allowed)
+        blocked = (wanted < NUM_DIRECTIONS) & (refused | ~allowed)
         action = torch.where(blocked, random_allowed(yielding), wanted)
         action = action.masked_fill(self.communicate(tensordict), COMMUNICATE)
         return tensordict.set(("agents", "action"), action)

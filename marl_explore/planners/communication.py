@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from marl_explore.core.grid import other_robots
 from marl_explore.core.radio import in_range
 
 CommunicationRule = Callable[[TensorDictBase], Tensor]
@@ -17,6 +18,13 @@ CommunicationRule = Callable[[TensorDictBase], Tensor]
 def never(tensordict: TensorDictBase) -> Tensor:
     """No robot ever communicates."""
     return torch.zeros_like(tensordict.get(("agents", "merged")))
+
+
+def others_in_range(tensordict: TensorDictBase, range_cells: float) -> Tensor:
+    """Pairs of different robots in range, bool [*B, N, N]."""
+    position = tensordict.get(("agents", "position"))
+    others = other_robots(position.shape[-2], position.device).bool()
+    return in_range(position, range_cells) & others
 
 
 @dataclass(frozen=True)
@@ -31,7 +39,36 @@ class PairTimer:
 
     def __call__(self, tensordict: TensorDictBase) -> Tensor:
         """Who communicates, bool [*B, N]."""
-        # a robot's counter with itself stays 0, so it never counts as its own partner
         overdue = tensordict.get(("agents", "steps_since_merge")) >= self.steps
-        reach = in_range(tensordict.get(("agents", "position")), self.range_cells)
-        return (overdue & reach).any(-1)
+        return (overdue & others_in_range(tensordict, self.range_cells)).any(-1)
+
+
+@dataclass(frozen=True)
+class SharedClock:
+    """All robots with another one in range communicate at set times, by a clock they share."""
+
+    start: int
+    period: int
+    range_cells: float
+
+    def __call__(self, tensordict: TensorDictBase) -> Tensor:
+        """Who communicates, bool [*B, N]."""
+        after = tensordict.get("step_count") - self.start
+        due = (after >= 0) & (after % self.period == 0)
+        return due & others_in_range(tensordict, self.range_cells).any(-1)
+
+
+@dataclass(frozen=True)
+class GainThreshold:
+    """Communicate beside a robot in range for which one has that many unshared cells or more.
+
+    A robot knows only what it has to give: its partner may not join in.
+    """
+
+    cells: int
+    range_cells: float
+
+    def __call__(self, tensordict: TensorDictBase) -> Tensor:
+        """Who communicates, bool [*B, N]."""
+        much = tensordict.get(("agents", "unshared")) >= self.cells
+        return (much & others_in_range(tensordict, self.range_cells)).any(-1)

@@ -1,0 +1,82 @@
+"""Yardsticks: what a team could do with knowledge that no robot has, and what no team can beat."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from marl_explore.config import ArenaConfig
+from marl_explore.core.frontier import nearest_frontier
+from marl_explore.core.grid import OCCUPIED, STAY, UNKNOWN
+from marl_explore.core.mapping import known_mask, target_cells
+from marl_explore.planners.base import Planner
+from marl_explore.planners.beam import BeamSearch
+from marl_explore.planners.communication import never
+
+
+class Central(Planner):
+    """One planner for all robots on the union of their maps, shared at no cost.
+
+    Its robots never communicate, so what counts is when the merged map is complete.
+
+    Args:
+        config: the arena.
+        search: the joint plan.
+    """
+
+    sees = "the union of all maps, all positions"
+    reference = True
+
+    def __init__(self, config: ArenaConfig, search: BeamSearch | None = None) -> None:
+        super().__init__(never)
+        self.radius = config.fov_radius
+        self.search = search or BeamSearch()
+
+    def obstacles(self, tensordict: TensorDictBase, union: Tensor) -> Tensor:
+        """Cells no plan leads through, bool [B, H, W]."""
+        return union == OCCUPIED
+
+    def plan(self, tensordict: TensorDictBase) -> Tensor:
+        """Every robot's part of the joint plan, int64 [B, N]."""
+        grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
+        union = grid.amax(-3)  # unknown is the lowest code
+        move = torch.full_like(position[..., 0], STAY)
+        rows = (union == UNKNOWN).flatten(-2).any(-1)
+        if rows.any():
+            team = torch.ones_like(move, dtype=torch.bool)
+            obstacles = self.obstacles(tensordict, union)
+            first, fruitful = self.search.first_moves(
+                union[rows] == UNKNOWN, obstacles[rows], position[rows], team[rows], self.radius
+            )
+            shared = union[rows].unsqueeze(1).expand(-1, *grid.shape[1:])
+            nearest, length = nearest_frontier(shared, position[rows])
+            nearest = torch.where(length > 0, nearest, STAY)
+            move[rows] = torch.where(fruitful.unsqueeze(-1), first, nearest)
+        return move
+
+
+class Clairvoyant(Central):
+    """The central planner, which knows all obstacles from the start."""
+
+    sees = "all obstacles, the union of all maps, all positions"
+
+    def obstacles(self, tensordict: TensorDictBase, union: Tensor) -> Tensor:
+        """The true obstacles, bool [B, H, W]."""
+        return tensordict.get("obstacles")
+
+
+def counting_bound(config: ArenaConfig, start: TensorDictBase) -> Tensor:
+    """Fewest steps to see all target cells if every move of every robot saw the most it can.
+
+    Args:
+        config: the arena.
+        start: the observation of a reset, batch [B].
+
+    Returns:
+        int64 [B] (steps).
+    """
+    target = target_cells(start["obstacles"], start["agents", "position"])
+    union = known_mask(start["agents", "map"]).amax(-3)
+    missing = (target.float() * (1 - union)).flatten(-2).sum(-1)
+    return (missing / (config.num_agents * config.max_discovery)).ceil().long()

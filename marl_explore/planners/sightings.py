@@ -1,0 +1,68 @@
+"""What robots remember of one another: when they were last in range, and where."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.grid import other_robots
+
+NEVER = -1_000_000
+"""The step of a sighting that never was."""
+
+
+class Sightings:
+    """Memory of a batch of teams; it starts anew where an episode does.
+
+    All entries are [B, N, ...]: row i is what robot i remembers.
+
+    Args:
+        grid: maps [B, N, H, W], for their shape and device.
+    """
+
+    step: Tensor
+    """When i last had j in range, int64 [B, N, N]; NEVER before, and for j = i."""
+    cell: Tensor
+    """Where j was then, int64 [B, N, N, 2]."""
+    waited: Tensor
+    """Whether j was there also one step earlier, bool [B, N, N]."""
+    covered: Tensor
+    """Cells that i knows others have seen, bool [B, N, H, W]."""
+
+    def __init__(self, grid: Tensor) -> None:
+        batch, robots, height, width = grid.shape
+        pairs, device = (batch, robots, robots), grid.device
+        self.step = torch.full(pairs, NEVER, device=device)
+        self.cell = torch.zeros(*pairs, 2, dtype=torch.int64, device=device)
+        self.waited = torch.zeros(pairs, dtype=torch.bool, device=device)
+        self.covered = torch.zeros(batch, robots, height, width, dtype=torch.bool, device=device)
+
+    def update(self, now: Tensor, position: Tensor, reach: Tensor, radius: int) -> None:
+        """Take in one observation.
+
+        Args:
+            now: step of the episode, int64 [B, 1].
+            position: int64 [B, N, 2].
+            reach: pairs in range, bool [B, N, N].
+            radius: half side of the field of view (cells).
+        """
+        begun = now == 0
+        self.step = self.step.masked_fill(begun.unsqueeze(-1), NEVER)
+        self.covered = self.covered & ~begun[..., None, None]
+        others = reach & other_robots(position.shape[-2], position.device).bool()
+        place = position.unsqueeze(1).expand_as(self.cell)
+        again = (self.step == now.unsqueeze(-1) - 1) & (self.cell == place).all(-1)
+        self.waited = others & again
+        self.cell = torch.where(others.unsqueeze(-1), place, self.cell)
+        self.step = torch.where(others, now.unsqueeze(-1), self.step)
+        views = _views(position, radius, *self.covered.shape[-2:])
+        seen = torch.einsum("bij,bjc->bic", others.float(), views.flatten(-2)) > 0
+        self.covered = self.covered | seen.view_as(self.covered)
+
+
+def _views(position: Tensor, radius: int, height: int, width: int) -> Tensor:
+    """1 at the cells in each robot's field of view, float32 [B, N, H, W]."""
+    row = torch.arange(height, device=position.device).unsqueeze(-1)
+    column = torch.arange(width, device=position.device)
+    rows = (position[..., 0, None, None] - row).abs() <= radius
+    return (rows & ((position[..., 1, None, None] - column).abs() <= radius)).float()
