@@ -24,7 +24,6 @@ _MOVES = NUM_DIRECTIONS + 1  # and STAY
 _ALL, _FAR = 255, 255
 MOST_CELLS_WITH_PATHS = 400
 """On larger grids distances are those of an empty one: paths between all cells cost too much."""
-_BUCKETS = 4096
 _MOVE_PLACES = [3 * (1 + row) + 1 + column for row, column in (*COMPASS, (0, 0))]
 """Places of the moves in a flattened 3 x 3 square."""
 _FAVOUR = 1e-3
@@ -286,9 +285,10 @@ def _once(value: Tensor, code: Tensor) -> Tensor:
 
     Hashes that differ may meet in a bucket: few, and a plan that is lost so is hardly missed.
     """
-    value, bucket = value.flatten(1), code.flatten(1) % _BUCKETS
+    buckets = 16 * value[0].numel()
+    value, bucket = value.flatten(1), code.flatten(1) % buckets
     order = torch.arange(value.shape[1], device=value.device) * (_FAVOUR / value.shape[1])
     value = value - order
-    best = value.new_full((len(value), _BUCKETS), -torch.inf)
+    best = value.new_full((len(value), buckets), -torch.inf)
     best.scatter_reduce_(1, bucket, value, "amax")
     return value.masked_fill(value < best.gather(1, bucket), -torch.inf).view(code.shape)

@@ -1,0 +1,164 @@
+"""The joint beam search against trying everything."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+import torch
+
+from marl_explore.core.grid import STAY, flat_cell
+from marl_explore.core.wavefront import all_distances
+from marl_explore.planners import BeamSearch
+from tests import reference
+from tests.boards import map_cells
+
+EVERYTHING = 9**4
+"""Plans of two robots in two steps, or of one robot in four."""
+
+
+def best_first_moves(search, unknown, occupied, positions, robots):
+    """First moves of all plans of the highest value, by the definition in ``BeamSearch``."""
+    blocked = [[bool(cell) for cell in row] for row in occupied.tolist()]
+    free = [[not cell for cell in row] for row in blocked]
+    cells = [(r, c) for r in range(len(free)) for c in range(len(free[0]))]
+    away = {
+        cell: reference.distances(free, blocked, cell) for cell in cells if free[cell[0]][cell[1]]
+    }
+    values = {}
+    for plan in product(product(range(9), repeat=robots), repeat=search.horizon):
+        value = plan_value(search, unknown, free, blocked, positions, plan, away)
+        if value is not None:
+            values.setdefault(round(value, 4), set()).add(plan[0])
+    return values[max(values)]
+
+
+def plan_value(search, unknown, free, blocked, positions, plan, away):
+    left = {cell for cell, hidden in cells_of(unknown) if hidden}
+    here, seen, weight = [tuple(p) for p in positions], 0.0, 1.0
+    for step, moves in enumerate(plan):
+        before = list(here)
+        for robot, move in enumerate(moves):
+            if move == STAY:
+                continue
+            target = reference.shifted(here[robot], reference.COMPASS[move])
+            others = [other for other in range(len(here)) if other != robot]
+            if not reference.may_move(free, blocked, here[robot], reference.COMPASS[move]):
+                return None
+            if any(target in (here[other], before[other]) for other in others):
+                return None
+            ways = [middle(before[other], here[other]) for other in others]
+            if middle(before[robot], target) in ways:
+                return None
+            here[robot] = target
+            new = {
+                cell
+                for cell in left
+                if max(abs(cell[0] - target[0]), abs(cell[1] - target[1])) <= 1
+            }
+            seen += weight * len(new)
+            if step == len(plan) - 1 and robot == len(moves) - 1:
+                # the last move is valued with the cells it sees one move away
+                far = sum(min(away[p].get(cell, 255) for p in here) for cell in left)
+                return seen - weight * search.distance_weight * (far - len(new))
+            left -= new
+        weight *= search.discount
+    far = sum(min(away[p].get(cell, 255) for p in here) for cell in left)
+    return seen - weight / search.discount * search.distance_weight * far
+
+
+def middle(a, b):
+    return a[0] + b[0], a[1] + b[1]
+
+
+def cells_of(grid):
+    return [((r, c), value) for r, row in enumerate(grid.tolist()) for c, value in enumerate(row)]
+
+
+BOARDS = [
+    "....?\n.##.?\n...??",
+    "??...\n?....\n.#..?",
+    "..#??\n.##??\n.....",
+]
+
+
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("positions", [[[0, 0]], [[2, 0]]])
+def test_one_robot_finds_the_best_of_all_plans(board, positions):
+    search = BeamSearch(width=EVERYTHING, horizon=3)
+    grid = map_cells(board)
+    unknown, occupied = grid == -1, grid == 1
+    best = best_first_moves(search, unknown, occupied, positions, 1)
+    first, _ = search.first_moves(
+        unknown[None], occupied[None], torch.tensor([positions]), torch.ones(1, 1).bool(), 1
+    )
+    assert tuple(first[0].tolist()) in best
+
+
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("positions", [[[0, 0], [0, 1]], [[2, 0], [0, 3]]])
+def test_two_robots_find_the_best_of_all_joint_plans(board, positions):
+    search = BeamSearch(width=EVERYTHING, horizon=2)
+    grid = map_cells(board)
+    unknown, occupied = grid == -1, grid == 1
+    if occupied[tuple(positions[1])]:
+        pytest.fail("a drawn robot stands on an obstacle")
+    best = best_first_moves(search, unknown, occupied, positions, 2)
+    first, _ = search.first_moves(
+        unknown[None], occupied[None], torch.tensor([positions]), torch.ones(1, 2).bool(), 1
+    )
+    assert tuple(first[0].tolist()) in best
+
+
+def test_absent_robots_neither_move_nor_block_nor_see():
+    grid = map_cells("....?")
+    search = BeamSearch(horizon=3)
+    positions = torch.tensor([[[0, 0], [0, 1]], [[0, 0], [0, 4]]])
+    present = torch.tensor([[True, False], [True, False]])
+    first, fruitful = search.first_moves(
+        (grid == -1).expand(2, 1, 5), (grid == 1).expand(2, 1, 5), positions, present, 1
+    )
+    assert first.tolist() == [[2, STAY], [2, STAY]]
+    assert fruitful.tolist() == [True, True]
+
+
+def test_a_plan_that_sees_nothing_says_so():
+    grid = map_cells("......?")
+    position, team = torch.tensor([[[0, 0]]]), torch.ones(1, 1).bool()
+    args = ((grid == -1)[None], (grid == 1)[None], position, team, 1)
+    assert not BeamSearch(horizon=4).first_moves(*args)[1].any()
+    assert BeamSearch(horizon=5).first_moves(*args)[1].all()
+
+
+def test_problems_are_solved_alone_as_in_a_batch():
+    generator = torch.Generator().manual_seed(0)
+    grid = torch.randint(-1, 2, (5, 6, 7), generator=generator)
+    position = torch.randint(0, 6, (5, 3, 2), generator=generator)
+    rows = torch.arange(5).unsqueeze(-1)
+    grid[rows, position[..., 0], position[..., 1]] = 0
+    present = torch.rand(5, 3, generator=generator) < 0.8
+    search = BeamSearch(width=6, horizon=4)
+    first, _ = search.first_moves(grid == -1, grid == 1, position, present, 1)
+    for i in range(5):
+        alone, _ = search.first_moves(
+            grid[i : i + 1] == -1, grid[i : i + 1] == 1, position[i : i + 1], present[i : i + 1], 1
+        )
+        assert alone[0].equal(first[i])
+
+
+def test_distances_between_all_cells_agree_with_the_reference():
+    generator = torch.Generator().manual_seed(3)
+    free = torch.rand(6, 5, 7, generator=generator) < 0.7
+    distance = all_distances(free)
+    for board, found in zip(free, distance, strict=True):
+        blocked = (~board).tolist()
+        for start, is_free in cells_of(board):
+            expected = reference.distances(board.tolist(), blocked, start) if is_free else {}
+            row = found[flat_cell(torch.tensor(start), 7)].view(5, 7)
+            for cell, _ in cells_of(board):
+                assert row[cell] == expected.get(cell, 255)
+
+
+def test_long_distances_count_as_the_longest():
+    distance = all_distances(torch.ones(1, 1, 12, dtype=torch.bool), longest=5)
+    assert distance[0, 0].tolist() == [0, 1, 2, 3, 4, 5, 5, 5, 5, 5, 5, 5]

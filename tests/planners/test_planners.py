@@ -1,0 +1,123 @@
+"""Planners: what they choose on drawn boards, and what they reach on arenas."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.core.grid import STAY
+from marl_explore.core.radio import in_range
+from marl_explore.evaluation import evaluate, find_policy
+from marl_explore.planners import PLANNERS, NearestFrontier, never
+from tests import reference
+from tests.planners.situations import on_board
+
+
+@pytest.mark.parametrize("name", sorted(PLANNERS))
+def test_planners_take_allowed_actions_only(name):
+    config = ArenaConfig(num_agents=5, height=8, width=8)
+    td = ExplorationEnv(config, num_envs=8).rollout(20, PLANNERS[name](config))
+    allowed = td["agents", "action_mask"].gather(-1, td["agents", "action"].unsqueeze(-1))
+    assert allowed.all()
+
+
+def test_the_random_walk_is_uniform_over_allowed_actions():
+    _, td = on_board("0...\n....\n...1", 3, 4)
+    td = td.expand(6000).clone()
+    action = PLANNERS["random"](ArenaConfig())(td)["agents", "action"]
+    for robot in range(2):
+        mask = td["agents", "action_mask"][0, robot]
+        share = torch.bincount(action[:, robot], minlength=10) / 6000
+        torch.testing.assert_close(share, mask / mask.sum(), atol=0.03, rtol=0)
+
+
+def test_nearest_frontier_goes_the_reference_way():
+    config = ArenaConfig(num_agents=2)
+    planner = NearestFrontier(never)
+    td = ExplorationEnv(config, num_envs=20).rollout(20)
+    plan = planner.plan(td)
+    for wanted, grid, position in zip(
+        plan.flatten().tolist(),
+        td["agents", "map"].flatten(0, 2).tolist(),
+        td["agents", "position"].flatten(0, 2).tolist(),
+        strict=True,
+    ):
+        paths = reference.trajectories(grid, position)
+        if paths:
+            _, direction = min((length, first) for first, length in paths)
+            assert wanted == direction
+        else:
+            assert wanted == STAY
+
+
+def test_a_robot_whose_move_was_refused_yields_with_a_random_move():
+    _, td = on_board("0.......\n........\n.......1", 3, 8)
+    td = td.expand(300).clone()
+    td["agents", "dangerous"] = torch.tensor([True, False]).expand(300, 2)
+    action = NearestFrontier(never)(td)["agents", "action"]
+    assert set(action[:, 0].tolist()) == {2, 3, 4}  # all open moves from the corner: E, SE, S
+    assert len(set(action[:, 1].tolist())) == 1
+
+
+def test_a_robot_that_is_shut_in_stays():
+    _, td = on_board("0#.\n##.\n...", 3, 3)
+    assert NearestFrontier(never)(td)["agents", "action"].tolist() == [[STAY]]
+
+
+def test_planners_explore_as_well_as_they_should():
+    """Bounds with slack around docs/planners.md."""
+    config = ArenaConfig()
+    bounds = {
+        "random": (200, 300),
+        "nearest": (55, 75),
+        "nearest-timer": (30, 45),
+        "fpr-greedy": (28, 42),
+        "utility-cost": (24, 33),
+        "sequential": (23, 32),
+        "hungarian": (27, 38),
+        "hedac": (23, 33),
+    }
+    for name, (low, high) in bounds.items():
+        steps = evaluate(find_policy(name, config), config, num_arenas=60)["steps_to_100"]
+        assert low < steps < high, name
+
+
+def test_joint_planning_explores_as_well_as_it_should():
+    config = ArenaConfig()
+    options = {"num_arenas": 12, "steps": 30}
+    own = evaluate(find_policy("rendezvous", config), config, **options)
+    shared = evaluate(find_policy("central", config), config, **options)
+    clairvoyant = evaluate(find_policy("clairvoyant", config), config, **options)
+    assert own["steps_to_100"] < 24
+    assert clairvoyant["merged_steps_to_100"] <= shared["merged_steps_to_100"] < 16
+    assert shared["communication_share"] == 0
+
+
+BLIND = [
+    name for name in PLANNERS if not getattr(PLANNERS[name](ArenaConfig()), "reference", False)
+]
+
+
+@pytest.mark.parametrize("name", BLIND)
+def test_a_robot_decides_by_what_it_can_know(name):
+    """The truth, others' maps and memories, and where robots out of range are, change nothing."""
+    config = ArenaConfig(num_agents=3)
+    history = ExplorationEnv(config, num_envs=8, stream="test").rollout(13)
+    planner, ignorant = (PLANNERS[name](config) for _ in range(2))
+    moved = 0
+    for step in history.unbind(1):
+        torch.manual_seed(1)
+        action = planner(step.clone())["agents", "action"][:, 0]
+        changed = step.clone()
+        changed["obstacles"] = ~changed["obstacles"]
+        for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
+            changed["agents", key][:, 1:] = 0
+        position = changed["agents", "position"]
+        far = ~in_range(position, config.communication_cells)[:, 0]
+        hiding = torch.where(position[:, :1] < 6, 11, 0).expand_as(position)  # the farthest corner
+        position[far] = hiding[far]
+        moved += int(far.sum())
+        torch.manual_seed(1)
+        assert ignorant(changed)["agents", "action"][:, 0].equal(action), name
+    assert moved > 0

@@ -1,0 +1,106 @@
+"""Joint planning with exchanges at known times, and the yardsticks."""
+
+from __future__ import annotations
+
+import torch
+
+from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.planners import (
+    Central,
+    Clairvoyant,
+    Rendezvous,
+    SharedClock,
+    counting_bound,
+    never,
+)
+from tests.planners.situations import knowing, names, on_board
+
+
+def test_robots_exchange_by_the_clock_and_explore_meanwhile():
+    env, td = on_board("0.........\n..........\n.........1", 3, 10, communication_range=10.0)
+    cells = env.config.communication_cells
+    planner = Rendezvous(env.config, SharedClock(4, 3, cells), answer=False)
+    merged = []
+    for _ in range(8):
+        td = env.step(planner(td))["next"]
+        merged.append(td["agents", "merged"].all().item())
+    assert merged == [False, False, False, False, True, False, False, True]
+
+
+def test_cells_that_others_in_range_have_seen_are_left_to_them():
+    """All that robot 0 does not know lies around robot 1, so it communicates."""
+    env, td = on_board("0...1", 1, 5)
+    planner = Rendezvous(env.config, never)
+    assert names(planner.plan(knowing(td, "...??", "?...."))) == ["talk", "W"]
+
+
+def test_with_others_cells_left_a_robot_walks_to_whom_it_saw_last():
+    env, td = on_board("0.........1", 1, 11, communication_range=2.5)  # 5 cells
+    planner = Rendezvous(env.config, never, patience_steps=3)
+    near = td.clone()
+    near["agents", "position"] = torch.tensor([[[0, 4], [0, 9]]])
+    known = "........???"
+    planner.plan(knowing(near, known, "???????...."))
+    later = td.clone()
+    later["step_count"] += 1
+    later["agents", "position"] = torch.tensor([[[0, 3], [0, 10]]])
+    wanted = []
+    for _ in range(4):
+        wanted.append(names(planner.plan(knowing(later, known, "???????....")))[0])
+        later["step_count"] += 1
+    assert wanted == ["E", "E", "E", "E"]
+    # after some steps of patience it looks at those cells itself, as its own plan
+    assert planner._sightings.covered[0, 0].sum() == 0
+
+
+def test_memory_starts_anew_with_an_episode():
+    env, td = on_board("0...1", 1, 5)
+    planner = Rendezvous(env.config, never)
+    planner.plan(td)
+    assert planner._sightings.covered.any()
+    apart = td.clone()
+    apart["agents", "position"] = torch.tensor([[[0, 0], [0, 100]]])
+    planner.plan(apart)
+    assert not planner._sightings.covered.any()
+    assert (planner._sightings.step < 0).all()
+
+
+def test_a_robot_answers_one_that_waits_beside_it():
+    env, td = on_board("0....1........", 1, 14)
+    planner = Rendezvous(env.config, never)
+    planner.plan(td)
+    td["step_count"] += 1
+    assert names(planner.plan(td)) == ["talk", "talk"]  # neither has moved
+    quiet = Rendezvous(env.config, never, answer=False)
+    td["step_count"] -= 1
+    quiet.plan(td)
+    td["step_count"] += 1
+    assert "talk" not in names(quiet.plan(td))
+
+
+def test_references_say_that_they_are():
+    assert Central.reference
+    assert Clairvoyant.reference
+    assert not Rendezvous.reference
+
+
+def test_the_clairvoyant_knows_a_dead_end_before_it_is_seen():
+    board = "0#......\n.#.####.\n.#.#..#.\n........"
+    env, td = on_board(board, 4, 8, communication_range=0.0)
+    shared = Central(env.config).plan(td)
+    truth = Clairvoyant(env.config).plan(td)
+    assert names(truth) == names(shared) == ["S"]  # the only way out of the corner
+
+
+def test_the_counting_bound_is_never_beaten():
+    config = ArenaConfig()
+    env = ExplorationEnv(config, num_envs=8, stream="test")
+    td = env.reset()
+    bound = counting_bound(config, td)
+    # 144 cells less at most 36 seen at the start, 20 new ones a step
+    assert ((bound >= 6) & (bound <= 8)).all()
+    planner = Clairvoyant(config)
+    for _ in range(int(bound.min())):
+        union = (td["agents", "map"].amax(1) >= 0).flatten(1).sum(-1)
+        assert (union < 144).all()
+        td = env.step(planner(td))["next"]
