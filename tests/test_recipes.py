@@ -45,8 +45,36 @@ def test_train_then_evaluate(tmp_path):
     assert evaluated.returncode == 0, evaluated.stderr
     results = json.loads((out / "results.json").read_text())
     assert list(results["results"]) == [str(run), "nearest", "random"]
+    scores = results["scores"]["random"]["steps_to_100"]
+    assert len(scores) == 5
+    assert results["results"]["random"]["steps_to_100"] == pytest.approx(sum(scores) / 5)
     assert (out / "table.txt").read_text().strip() in evaluated.stdout
     assert len((out / "results.csv").read_text().splitlines()) == 4
+
+
+def test_train_and_evaluate_on_a_suite(tmp_path):
+    tiny = (
+        "--arenas corridor-24 --num-agents 2 --hidden 8 --episodes 2 --episode-steps 4 "
+        "--num-envs 2 --rollout-steps 4 --minibatches 1"
+    ).split()
+    trained = recipe("train.py", "fast", *tiny, "--out", tmp_path / "run")
+    assert trained.returncode == 0, trained.stderr
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["arenas"] == "corridor-24-v1"  # later versions do not change what this run was
+    assert config["arena"]["height"] == config["arena"]["width"] == 24
+
+    few = "--num-arenas 2 --steps 3 --out".split()
+    for name, arenas in {"own": [], "named": ["--arenas", "open-24"]}.items():
+        done = recipe("evaluate.py", tmp_path / "run", *arenas, *few, tmp_path / name)
+        assert done.returncode == 0, done.stderr
+    settings = {
+        name: json.loads((tmp_path / name / "results.json").read_text())["run"]["settings"]
+        for name in ("own", "named")
+    }
+    assert settings["own"]["arenas"] == "corridor-24-v1"  # those the policy was trained on
+    assert settings["named"]["arenas"] == "open-24-v1"
+    assert settings["named"]["arena"]["obstacle_density"] == 0.1
+    assert settings["named"]["arena"]["num_agents"] == 2  # the policy's
 
 
 def test_demo_makes_table_figure_and_animation(tmp_path):
@@ -122,6 +150,9 @@ def test_help(name):
         (["train.py", "fast", "--gamma", "2"], "gamma=2.0"),
         (["train.py", "fast", "--num-agents", "500"], "num_agents=500"),
         (["train.py", "fast", "--obstacle-density", "0.9"], "obstacle_density=0.9"),
+        (["train.py", "fast", "--arenas", "rooms"], "arenas='rooms' is unknown"),
+        (["train.py", "fast", "--arenas=rooms-32", "--height", "9"], "config.height=9"),
+        (["evaluate.py", "random", "--arenas", "rooms-32", "--width", "9"], "config.width=9"),
         (["train.py", "fast", "--reward", "fame"], "reward='fame' is unknown"),
         (["evaluate.py", "nobody"], "no policy 'nobody'"),
         (["evaluate.py"], "name at least one policy"),
