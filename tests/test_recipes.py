@@ -110,6 +110,43 @@ def test_replay_shows_every_policy_and_how_it_was_made(tmp_path):
     assert "--arena-index 3 --steps 20" in page
 
 
+def test_leaderboard_goes_on_where_it_was(tmp_path):
+    small = "--suites paper-12 corridor-24 --num-arenas 2 --steps 20 --out board".split()
+    done = recipe("leaderboard.py", "nearest", *small[:2], *small[3:], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    board = tmp_path / "board"
+    (old,) = (board / "cells").iterdir()
+    kept = old.stat().st_mtime_ns
+
+    done = recipe("leaderboard.py", "nearest", "two=random,nearest-timer", *small, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert old.stat().st_mtime_ns == kept  # read, not measured again
+    assert len(list((board / "cells").iterdir())) == 6
+    assert (board / "table.txt").read_text() in done.stdout
+    rows = json.loads((board / "table.json").read_text())["rows"]
+    assert {(row["suite"], row["policy"], row["seeds"]) for row in rows} == {
+        (suite, *entry)
+        for suite in ("paper-12-v1", "corridor-24-v1")
+        for entry in (("nearest", 1), ("two", 2))
+    }
+    page = (board / "report.html").read_text()
+    assert "corridor-24-v1: 2 arenas, 20 steps" in page
+    assert "two=random,nearest-timer" in page
+
+    refused = recipe("leaderboard.py", "nearest", *small, "--seed", "5", cwd=tmp_path)
+    assert refused.returncode == 1
+    assert "seed was 0 and now is 5" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_leaderboard_does_not_write_into_a_folder_of_other_things(tmp_path):
+    (tmp_path / "table.txt").write_text("mine")
+    done = recipe("leaderboard.py", "nearest", "--out", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: output folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["table.txt"]
+
+
 def test_demo_does_not_replace_a_folder_it_did_not_make(tmp_path):
     (tmp_path / "precious.txt").write_text("mine")
     done = recipe("demo.py", "--out", tmp_path)
@@ -135,7 +172,8 @@ def test_minimal_happo_learns_within_100_lines():
 
 
 @pytest.mark.parametrize(
-    "name", ["train.py", "evaluate.py", "replay.py", "demo.py", "minimal_happo.py"]
+    "name",
+    ["train.py", "evaluate.py", "replay.py", "demo.py", "leaderboard.py", "minimal_happo.py"],
 )
 def test_help(name):
     done = recipe(name, "--help")
@@ -162,6 +200,9 @@ def test_help(name):
         (["replay.py"], "name at least one policy"),
         (["replay.py", "random", "--arena-index", "-1"], "arena_index=-1"),
         (["replay.py", "random", "--steps", "0"], "steps=0"),
+        (["leaderboard.py", "nobody"], "no policy 'nobody'"),
+        (["leaderboard.py", "random", "--suites", "rooms"], "arenas='rooms' is unknown"),
+        (["leaderboard.py", "random", "--num-arenas", "0"], "num_arenas=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
         (["demo.py", "--episodes", "1"], "episodes=1"),

@@ -28,6 +28,12 @@ def test_text_is_aligned_to_the_right():
     ]
 
 
+def test_blocks_of_rows_stand_apart():
+    assert tables.text(["x"], [["1"]], [["22"]]).splitlines() == [" x", "--", " 1", "--", "22"]
+    lines = tables.markdown(["x"], [["1"]], [["22"]]).splitlines()
+    assert lines == ["| x |", "| --- |", "| 1 |", "|  |", "| 22 |"]
+
+
 def test_markdown_escapes_what_separates_its_columns():
     assert tables.markdown(["name", "x"], [["a|b", "1"]]).splitlines() == [
         "| name | x |",
