@@ -15,6 +15,7 @@ from marl_explore.arenas import suite
 from marl_explore.evaluation import find_policy, record
 from marl_explore.leaderboard import Cell, Entry, cells, parse_entries, rank
 from marl_explore.leaderboard.table import COLUMNS, format_markdown, format_text
+from marl_explore.planners import PLANNERS, RandomWalk
 
 PAPER = suite("paper-12")
 CELL = Cell("nearest-timer", PAPER, num_arenas=3, steps=25, seed=1)
@@ -59,6 +60,17 @@ def test_a_cell_keeps_what_was_measured():
     assert result["settings"]["fingerprint"] == PAPER.digest
     assert result["run"]["versions"]["torch"]
     assert result["planner"] is True
+
+
+def test_a_policy_says_what_it_sees_and_whether_it_is_a_reference(monkeypatch):
+    class Seer(RandomWalk):
+        sees = "everything"
+        reference = True
+
+    monkeypatch.setitem(PLANNERS, "seer", lambda config: Seer())
+    told = [cells.measure(replace(CELL, policy=name)) for name in ("seer", "random")]
+    assert [result["reference"] for result in told] == [True, False]
+    assert told[0]["sees"] == "everything"
 
 
 def test_cells_are_measured_once(tmp_path, monkeypatch):
