@@ -70,7 +70,7 @@ class Iteration:
 
     def __call__(self) -> None:
         start = time.perf_counter()
-        batch = next(self.batches)
+        batch = self.trainer.collect(self.batches)
         collected = time.perf_counter()
         self.trainer.update(batch)
         self.seconds["collection"].append(collected - start)
@@ -84,8 +84,10 @@ class Iteration:
 
         @torch.no_grad()
         def run() -> None:
-            for _ in range(config.rollout_steps):
-                self.trainer.policy.team.stacked(*inputs)
+            stacked = self.trainer.policy.team.stacked
+            with stacked.together():
+                for _ in range(config.rollout_steps):
+                    stacked(*inputs)
 
         return run
 

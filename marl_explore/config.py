@@ -142,9 +142,11 @@ class ArenaConfig:
 
 Architecture = Literal["mlp", "cnn"]
 CriticInput = Literal["observation", "state"]
+Precision = Literal["float32", "bfloat16"]
 _CHOICES = {
     "architecture": get_args(Architecture),
     "critic_reads": get_args(CriticInput),
+    "precision": get_args(Precision),
     "fpr": ("relative", "proximity", "absolute"),
 }
 
@@ -203,6 +205,10 @@ class TrainConfig:
     """Weight of the entropy bonus."""
     value_norm: bool = True
     """Whether the critic predicts in units of running return statistics."""
+    precision: Precision = "float32"
+    """Numbers in the products of an update: bfloat16 is faster on processors that have it."""
+    compile: bool = False
+    """Whether torch.compile fuses the networks of an update; it takes minutes to warm up."""
     seed: int = 0
     """Seed of arenas, initial weights, actions and minibatches."""
 

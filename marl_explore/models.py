@@ -1,8 +1,8 @@
 """The paper's networks: an MLP and a CNN, each as an actor per robot and as a shared critic.
 
 Networks are plain modules on ``(fov, fpr, net)``: float [*B, 2k+1, 2k+1], [*B, 8, 3], [*B, N] for
-an actor, and the same with a robot axis after ``*B`` for a critic. The functions at the end wrap
-them for TensorDicts.
+an actor, and the same with a robot axis after ``*B`` for a critic. What they return is float32,
+also under autocast: losses are computed in full precision.
 """
 
 from __future__ import annotations
@@ -11,18 +11,11 @@ import math
 from collections.abc import Iterable, Sequence
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey
 from tensordict.nn import (
-    InteractionType,
-    ProbabilisticTensorDictSequential,
     TensorDictModule,
-    TensorDictModuleBase,
 )
 from torch import Tensor, nn
-from torch.distributions import Categorical
-from torchrl.envs import ExplorationType
-from torchrl.envs.utils import exploration_type
-from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
 from marl_explore.config import Architecture, ArenaConfig, CriticInput
 from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
@@ -30,9 +23,6 @@ from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
 OBSERVATION_KEYS: list[NestedKey] = [
     ("agents", "observation", key) for key in ("fov", "fpr", "net")
 ]
-ACTION_MASK: NestedKey = ("agents", "action_mask")
-ACTION: NestedKey = ("agents", "action")
-LOG_PROB: NestedKey = ("agents", "action_log_prob")
 STATE_KEYS: list[NestedKey] = ["obstacles", ("agents", "position"), ("agents", "map")]
 _EVENT_DIMS = (2, 2, 1)  # of fov, fpr and net
 _FPR_SIZE = NUM_DIRECTIONS * 3
@@ -91,7 +81,7 @@ class MLPActor(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Logits [*B, 10]."""
-        return self.layers(_concatenate(fov, fpr, net))
+        return self.layers(_concatenate(fov, fpr, net)).float()
 
 
 class MLPCritic(nn.Module):
@@ -105,7 +95,14 @@ class MLPCritic(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Value [*B, 1] from inputs with a robot axis."""
-        return self.layers(_concatenate(fov, fpr, net).flatten(-2))
+        return self.layers(_concatenate(fov, fpr, net).flatten(-2)).float()
+
+
+class _Conv2d(nn.Conv2d):
+    """A convolution that takes any batch dimensions, [*B, C, H, W]."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        return super().forward(input.flatten(0, -4)).unflatten(0, input.shape[:-3])
 
 
 class CNNEncoder(nn.Module):
@@ -121,10 +118,10 @@ class CNNEncoder(nn.Module):
         layers: list[nn.Module] = []
         before = 1
         for channel in channels:
-            layers += [nn.Conv2d(before, channel, kernel_size=3, stride=1, padding=1), nn.ReLU()]
+            layers += [_Conv2d(before, channel, kernel_size=3, stride=1, padding=1), nn.ReLU()]
             before = channel
         fov, fpr, net = widths
-        layers += [nn.Flatten(), nn.Linear(before * config.fov_size**2, fov), nn.ReLU()]
+        layers += [nn.Flatten(-3), nn.Linear(before * config.fov_size**2, fov), nn.ReLU()]
         self.fov = nn.Sequential(*layers)
         self.fpr = nn.Sequential(nn.Linear(_FPR_SIZE, fpr), nn.ReLU())
         self.net = nn.Sequential(nn.Linear(config.num_agents, net), nn.ReLU())
@@ -132,8 +129,7 @@ class CNNEncoder(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Features [*B, 144] for the default widths."""
-        batch = fov.shape[:-2]
-        seen = self.fov(fov.reshape(-1, 1, *fov.shape[-2:])).view(*batch, -1)
+        seen = self.fov(fov.unsqueeze(-3))
         return torch.cat((seen, self.fpr(fpr.flatten(-2)), self.net(net)), -1)
 
 
@@ -156,7 +152,7 @@ class CNNActor(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Logits [*B, 10]."""
-        return self.head(self.encoder(fov, fpr, net))
+        return self.head(self.encoder(fov, fpr, net)).float()
 
 
 class CNNCritic(nn.Module):
@@ -178,9 +174,9 @@ class CNNCritic(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Value [*B, 1] from inputs with a robot axis."""
-        robots = _by_robot(fov, fpr, net)
+        robots = by_robot(fov, fpr, net)
         features = [enc(*robot) for enc, robot in zip(self.encoders, robots, strict=True)]
-        return self.head(torch.cat(features, -1))
+        return self.head(torch.cat(features, -1)).float()
 
 
 class StateCritic(nn.Module):
@@ -201,27 +197,17 @@ class StateCritic(nn.Module):
         """Value of bool [*B, H, W], int64 [*B, N, 2] and int8 [*B, N, H, W]."""
         known = (grid >= 0).flatten(-3)
         place = (position / self.size).flatten(-2)
-        return self.layers(torch.cat((obstacles.flatten(-2), known, place), -1).float())
+        return self.layers(torch.cat((obstacles.flatten(-2), known, place), -1).float()).float()
 
 
-class StackedActors(nn.Module):
-    """The actors of a team side by side: logits [*B, N, 10] from inputs with a robot axis."""
-
-    def __init__(self, actors: Iterable[nn.Module]) -> None:
-        super().__init__()
-        self.actors = nn.ModuleList(actors)
-
-    def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
-        """Logits [*B, N, 10]; actor i reads row i."""
-        robots = _by_robot(fov, fpr, net)
-        logits = [actor(*robot) for actor, robot in zip(self.actors, robots, strict=True)]
-        return torch.stack(logits, -2)
+def robots_first(*inputs: Tensor) -> list[Tensor]:
+    """The inputs [*B, N, ...] with the robot axis in front."""
+    return [x.movedim(-1 - dims, 0) for x, dims in zip(inputs, _EVENT_DIMS, strict=True)]
 
 
-def _by_robot(*inputs: Tensor) -> Iterable[tuple[Tensor, ...]]:
-    """The inputs of each robot, the robot axis taken off."""
-    split = (x.unbind(-1 - dims) for x, dims in zip(inputs, _EVENT_DIMS, strict=True))
-    return zip(*split, strict=True)
+def by_robot(*inputs: Tensor) -> Iterable[tuple[Tensor, ...]]:
+    """The inputs [*B, N, ...] of each robot, the robot axis taken off."""
+    return zip(*robots_first(*inputs), strict=True)
 
 
 def make_actor(
@@ -251,48 +237,3 @@ def make_critic(
             MLPCritic(config, hidden, norm_last), OBSERVATION_KEYS, ["state_value"]
         )
     return TensorDictModule(CNNCritic(config, hidden[-1]), OBSERVATION_KEYS, ["state_value"])
-
-
-class TeamActor(TensorDictModuleBase):
-    """The policy of a collector: all robots' actors in one module, writing actions and log-probs.
-
-    It does what ``probabilistic_actor(StackedActors(actors))`` does in a fraction of the time
-    that a chain of modules takes. Actions are sampled, unless
-    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` asks for the likeliest.
-    """
-
-    in_keys: list[NestedKey] = [*OBSERVATION_KEYS, ACTION_MASK]  # noqa: RUF012
-    out_keys: list[NestedKey] = [ACTION, LOG_PROB]  # noqa: RUF012
-
-    def __init__(self, actors: Iterable[nn.Module]) -> None:
-        super().__init__()
-        self.stacked = StackedActors(actors)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
-        logits = self.stacked(*(tensordict.get(key) for key in OBSERVATION_KEYS))
-        logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
-        policy = Categorical(logits=logits, validate_args=False)
-        likeliest = exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE)
-        action = policy.mode if likeliest else policy.sample()
-        tensordict.set(ACTION, action)
-        return tensordict.set(LOG_PROB, policy.log_prob(action))
-
-
-def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential:
-    """A masked categorical policy in the entries of the group "agents".
-
-    With one robot's network it acts on that robot's slice of the group (an actor of HAPPO), with
-    ``StackedActors`` on the whole group. Sampling is the default;
-    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` takes the likeliest action.
-    """
-    logits: NestedKey = ("agents", "logits")
-    return ProbabilisticActor(
-        TensorDictModule(network, OBSERVATION_KEYS, [logits]),
-        in_keys={"logits": logits, "mask": ACTION_MASK},
-        out_keys=[ACTION],
-        distribution_class=MaskedCategorical,
-        return_log_prob=True,
-        log_prob_key=LOG_PROB,
-        default_interaction_type=InteractionType.RANDOM,
-    )

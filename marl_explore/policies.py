@@ -23,7 +23,8 @@ from torch import nn
 from marl_explore.config import Architecture, ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.files import whole_file
-from marl_explore.models import TeamActor, make_actor
+from marl_explore.models import make_actor
+from marl_explore.team import TeamActor
 from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
 
 FORMAT = "marl_explore.policy/1"

@@ -18,8 +18,9 @@ from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
 from marl_explore.core.mapping import known_cells, known_mask, known_targets, target_cells
 from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
-from marl_explore.models import make_critic, probabilistic_actor
+from marl_explore.models import make_critic
 from marl_explore.policies import Policy, PolicySpec
+from marl_explore.team import probabilistic_actor
 
 VALUE_NORM_DECAY = 0.99
 FINAL_LR_SHARE = 0.05
@@ -80,6 +81,9 @@ class Trainer:
             for opt in self.optimizers.values()
             if config.lr_decay
         ]
+        if config.compile:
+            for network in (*self.policy.actors, critic.module):
+                network.compile()
         self.generator = torch.Generator().manual_seed(config.seed)
         self.collector = make_collector(
             partial(make_training_env, config),
@@ -92,7 +96,9 @@ class Trainer:
         """Train, yielding the metrics of every update (see docs/metrics.md)."""
         start, frames = time.perf_counter(), 0
         try:
-            for batch in self.collector:
+            batches = iter(self.collector)
+            for _ in range(self.config.updates):
+                batch = self.collect(batches)
                 frames += batch.numel()
                 metrics = rollout_metrics(batch) | self.update(batch)
                 seconds = time.perf_counter() - start
@@ -100,8 +106,18 @@ class Trainer:
         finally:
             self.collector.shutdown()
 
+    def collect(self, batches: Iterator[TensorDictBase]) -> TensorDictBase:
+        """The collector's next rollout [B, T], the actors run as one network."""
+        with self.policy.team.stacked.together():
+            return next(batches)
+
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """One HAPPO update on a rollout [B, T]: every actor in turn, then the critic."""
+        dtype = getattr(torch, self.config.precision)
+        with torch.autocast("cpu", dtype, enabled=dtype != torch.float32):
+            return self._update(batch)
+
+    def _update(self, batch: TensorDictBase) -> dict[str, float]:
         batch = self.loss.estimate_advantage(batch).reshape(-1)
         logs: dict[str, list[float]] = {}
         order = self.loss.update_order(self.generator)

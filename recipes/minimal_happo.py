@@ -15,13 +15,8 @@ from torchrl.collectors import Collector
 from torchrl.envs import RewardSum
 
 from marl_explore import ArenaConfig, HAPPOLoss, make_env
-from marl_explore.models import (
-    OBSERVATION_KEYS,
-    MLPActor,
-    MLPCritic,
-    StackedActors,
-    probabilistic_actor,
-)
+from marl_explore.models import OBSERVATION_KEYS, MLPActor, MLPCritic
+from marl_explore.team import StackedActors, probabilistic_actor
 
 ENVS, STEPS, EPOCHS = 32, 50, 5
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -14,11 +16,10 @@ from marl_explore.models import (
     CNNCritic,
     MLPActor,
     MLPCritic,
-    StackedActors,
-    TeamActor,
     make_critic,
-    probabilistic_actor,
 )
+from marl_explore.stacked import side_by_side
+from marl_explore.team import StackedActors, TeamActor, probabilistic_actor
 
 PAPER = ArenaConfig()
 
@@ -123,6 +124,30 @@ def test_stacked_actors_are_the_single_ones(actor):
     for i, single in enumerate(actors):
         alone = single(inputs[0][:, :, i], inputs[1][:, :, i], inputs[2][:, :, i])
         torch.testing.assert_close(stacked[:, :, i], alone)
+
+
+@pytest.mark.parametrize("actor", [MLPActor, partial(MLPActor, norm_last=True), CNNActor])
+def test_actors_run_together_are_the_single_ones_in_their_latest_state(actor):
+    config = ArenaConfig(num_agents=3, sensing_range=1.8)
+    stacked = StackedActors([actor(config) for _ in range(3)])
+    inputs = observation(6, 2, robots=3, config=config)
+    names = set(stacked.state_dict())
+    for _ in range(2):
+        with torch.no_grad():
+            for parameter in stacked.parameters():
+                parameter.add_(0.1 * torch.randn_like(parameter))
+        expected = stacked(*inputs)
+        with stacked.together():
+            torch.testing.assert_close(stacked(*inputs), expected, rtol=1e-4, atol=1e-4)
+            one_batch = stacked(*(x[:, 0] for x in inputs))
+        torch.testing.assert_close(one_batch, expected[:, 0], rtol=1e-4, atol=1e-4)
+        assert stacked(*inputs).equal(expected)
+        assert set(stacked.state_dict()) == names
+
+
+def test_only_known_layers_run_side_by_side():
+    with pytest.raises(TypeError, match="Bilinear cannot be run side by side"):
+        side_by_side([nn.Bilinear(2, 2, 2), nn.Bilinear(2, 2, 2)])
 
 
 @pytest.mark.parametrize("architecture", ["mlp", "cnn"])

@@ -10,8 +10,8 @@ from safetensors.torch import save_file
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import ArenaConfig, ExplorationEnv, list_policies, load_policy, make_env
-from marl_explore.models import probabilistic_actor
 from marl_explore.policies import FORMAT, Policy, PolicySpec, policy_info, save_policy
+from marl_explore.team import probabilistic_actor
 
 
 def a_policy(architecture="mlp", fpr="proximity", **arena):

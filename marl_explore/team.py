@@ -1,0 +1,103 @@
+"""The actors of a team together: the policy of a collector, and HAPPO's actors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import (
+    InteractionType,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+    TensorDictModuleBase,
+)
+from torch import Tensor, nn
+from torch.distributions import Categorical
+from torchrl.envs import ExplorationType
+from torchrl.envs.utils import exploration_type
+from torchrl.modules import MaskedCategorical, ProbabilisticActor
+
+from marl_explore.models import OBSERVATION_KEYS, by_robot, robots_first
+from marl_explore.stacked import side_by_side
+
+ACTION_MASK: NestedKey = ("agents", "action_mask")
+ACTION: NestedKey = ("agents", "action")
+LOG_PROB: NestedKey = ("agents", "action_log_prob")
+
+
+class StackedActors(nn.Module):
+    """The actors of a team side by side: logits [*B, N, 10] from inputs with a robot axis."""
+
+    def __init__(self, actors: Iterable[nn.Module]) -> None:
+        super().__init__()
+        self.actors = nn.ModuleList(actors)
+        self._together: list[nn.Module] = []  # a list, so that it is no submodule
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Run all actors as one network meanwhile, several times faster on small batches.
+
+        Their weights are copied: they must not change before the end.
+        """
+        self._together = [side_by_side([*self.actors])]
+        try:
+            yield
+        finally:
+            self._together = []
+
+    def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
+        """Logits [*B, N, 10]; actor i reads row i."""
+        if self._together:
+            logits = self._together[0](*robots_first(fov, fpr, net))
+            return logits.movedim(0, -2)
+        robots = by_robot(fov, fpr, net)
+        return torch.stack(
+            [actor(*robot) for actor, robot in zip(self.actors, robots, strict=True)], -2
+        )
+
+
+class TeamActor(TensorDictModuleBase):
+    """The policy of a collector: all robots' actors in one module, writing actions and log-probs.
+
+    It does what ``probabilistic_actor(StackedActors(actors))`` does in a fraction of the time
+    that a chain of modules takes. Actions are sampled, unless
+    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` asks for the likeliest.
+    """
+
+    in_keys: list[NestedKey] = [*OBSERVATION_KEYS, ACTION_MASK]  # noqa: RUF012
+    out_keys: list[NestedKey] = [ACTION, LOG_PROB]  # noqa: RUF012
+
+    def __init__(self, actors: Iterable[nn.Module]) -> None:
+        super().__init__()
+        self.stacked = StackedActors(actors)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
+        logits = self.stacked(*(tensordict.get(key) for key in OBSERVATION_KEYS))
+        logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
+        policy = Categorical(logits=logits, validate_args=False)
+        likeliest = exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE)
+        action = policy.mode if likeliest else policy.sample()
+        tensordict.set(ACTION, action)
+        return tensordict.set(LOG_PROB, policy.log_prob(action))
+
+
+def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential:
+    """A masked categorical policy in the entries of the group "agents".
+
+    With one robot's network it acts on that robot's slice of the group (an actor of HAPPO), with
+    ``StackedActors`` on the whole group. Sampling is the default;
+    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` takes the likeliest action.
+    """
+    logits: NestedKey = ("agents", "logits")
+    return ProbabilisticActor(
+        TensorDictModule(network, OBSERVATION_KEYS, [logits]),
+        in_keys={"logits": logits, "mask": ACTION_MASK},
+        out_keys=[ACTION],
+        distribution_class=MaskedCategorical,
+        return_log_prob=True,
+        log_prob_key=LOG_PROB,
+        default_interaction_type=InteractionType.RANDOM,
+    )
