@@ -1,6 +1,7 @@
 # make demo   learn, compare, draw: a few minutes       make speed     speed measurements
 # make test   the core test suite                       make test-all  also what needs other programs
 # make lint   format, lint, types, import contracts
+# make leaderboard   all planners on all suites
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,7 +9,7 @@ BIN := $(VENV)/bin
 # One thread per process: small batches gain nothing from more.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all lint speed clean
+.PHONY: demo test test-all lint speed leaderboard clean
 
 demo: $(VENV)/installed
 	$(BIN)/python recipes/demo.py
@@ -31,6 +32,9 @@ speed: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.environment
 	$(BIN)/python -m benchmarks.memory
 
+leaderboard: $(VENV)/installed
+	$(BIN)/python recipes/leaderboard.py
+
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
@@ -49,4 +53,4 @@ $(VENV)/installed-extras: $(VENV)/installed-dev
 	touch $@
 
 clean:
-	rm -rf $(VENV) demo build dist *.egg-info
+	rm -rf $(VENV) demo leaderboard build dist *.egg-info

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TypeVar
 
 import tyro
@@ -16,15 +17,40 @@ OPTIONS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff)
 """Flags carry the names of the configuration's fields, without the path to them."""
 
 
-def trained_arena(words: Sequence[str]) -> ArenaConfig:
-    """The arena of the first trained policy among the words of a command line."""
-    for word in words:
-        if not word.startswith("-"):
-            from marl_explore import evaluation
+def named_arenas(words: Sequence[str]) -> str | None:
+    """What a command line gives to --arenas, if anything."""
+    for word, following in pairwise([*words, ""]):
+        flag, _, value = word.partition("=")
+        if flag == "--arenas":
+            return value or following
+    return None
 
-            if (arena := evaluation.trained_arena(word)) is not None:
-                return arena
-    return ArenaConfig()
+
+def fitted(arena: ArenaConfig, arenas: str) -> ArenaConfig:
+    """The robots of ``arena`` in arenas of a suite's size; "uniform" takes any size."""
+    if arenas == "uniform":
+        return arena
+    from marl_explore.arenas import suite
+
+    return suite(arenas).fit(arena)
+
+
+def default_task(words: Sequence[str]) -> tuple[ArenaConfig, str]:
+    """Arena and kind of arenas that a command line starts from, before its other flags.
+
+    Those of the first trained policy among its words; --arenas replaces kind and size.
+    """
+    arena, arenas = next(filter(None, map(_trained_on, words)), (ArenaConfig(), "uniform"))
+    named = named_arenas(words)
+    return (fitted(arena, named), named) if named else (arena, arenas)
+
+
+def _trained_on(word: str) -> tuple[ArenaConfig, str] | None:
+    if word.startswith("-"):
+        return None
+    from marl_explore import evaluation
+
+    return evaluation.trained_on(word)
 
 
 def main(parse: Callable[[], Arguments], run: Callable[[Arguments], None]) -> None:

@@ -156,7 +156,9 @@ class TrainConfig:
     """A training run; the defaults are the paper's Table III and, where it is silent, HAPPO's."""
 
     arena: ArenaConfig = field(default_factory=ArenaConfig)
-    """The arena, its robots and their sensors."""
+    """The arena, its robots and their sensors; size and density are those of a suite."""
+    arenas: str = "uniform"
+    """Kind of arenas: a suite's name, or uniform for any size and density."""
     reward: str = "case2"
     """Reward: case1, case2, case2-literal or team."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"

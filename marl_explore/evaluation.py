@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.envs import step_mdp
 
+from marl_explore import tables
+from marl_explore.arenas import Generator, default_steps
 from marl_explore.config import ArenaConfig, require_integer
 from marl_explore.core.mapping import target_cells
 from marl_explore.env import ExplorationEnv
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
 from marl_explore.planners import PLANNERS
-from marl_explore.policies import load_policy
+from marl_explore.policies import load_policy, policy_info
 
 Actor = Callable[[TensorDictBase], TensorDictBase]
 
@@ -42,12 +45,16 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
     return policy
 
 
-def trained_arena(name: str) -> ArenaConfig | None:
-    """The arena a policy was trained on; None for what is no policy, such as a planner's name."""
+def trained_on(name: str) -> tuple[ArenaConfig, str] | None:
+    """The arena and the kind of arenas (such as a suite's name) a policy was trained on.
+
+    None for what is no policy, such as a planner's name.
+    """
     try:
-        return load_policy(name).spec.arena
+        arena = load_policy(name).spec.arena
     except ValueError:
         return None
+    return arena, policy_info(name).get("config", {}).get("arenas", "uniform")
 
 
 def play(
@@ -76,11 +83,12 @@ def play(
 
 def watch(
     policy: Actor,
-    config: ArenaConfig,
+    config: ArenaConfig | None,
     arena_index: int = 0,
-    steps: int = 300,
+    steps: int | None = None,
     seed: int = 0,
     stream: str = TEST_STREAM,
+    arenas: str | Generator = "uniform",
 ) -> list[TensorDictBase]:
     """The observations of one arena's episode until a robot's map is complete, batch [1].
 
@@ -88,12 +96,14 @@ def watch(
 
     Args:
         policy: TensorDict in, action out.
-        config: arena and robots.
+        config: arena and robots; None: those that ``arenas`` brings.
         arena_index: which arena of the stream; row i of ``record`` is arena i.
-        steps: most steps to take.
+        steps: most steps to take; None: the suite's, or 300.
         seed: of the arena and of sampled actions; the global random state is left as it was.
         stream: family of arenas.
+        arenas: a suite's name or a generator, as for ``ExplorationEnv``.
     """
+    steps = default_steps(arenas) if steps is None else steps
     require_integer("arena_index", arena_index, 0)
     require_integer("steps", steps, 1)
     require_integer("seed", seed, 0)
@@ -101,6 +111,7 @@ def watch(
         config,
         max_steps=steps,
         terminate_at_coverage=1.0,
+        arenas=arenas,
         seed=seed,
         stream=stream,
         first_arena=arena_index,
@@ -112,26 +123,31 @@ def watch(
 
 def record(
     policy: Actor,
-    config: ArenaConfig,
+    config: ArenaConfig | None,
     num_arenas: int = 200,
-    steps: int = 300,
+    steps: int | None = None,
     seed: int = 0,
     stream: str = TEST_STREAM,
+    arenas: str | Generator = "uniform",
 ) -> Episodes:
     """Run a policy once on every arena, deterministic given the seed.
 
     Args:
         policy: TensorDict in, action out.
-        config: arenas and robots.
+        config: arenas and robots; None: those that ``arenas`` brings.
         num_arenas: B.
-        steps: T.
+        steps: T; None: the suite's, or 300.
         seed: of the arenas and of sampled actions; the global random state is left as it was.
         stream: family of arenas.
+        arenas: a suite's name or a generator, as for ``ExplorationEnv``.
     """
+    steps = default_steps(arenas) if steps is None else steps
     require_integer("num_arenas", num_arenas, 1)
     require_integer("steps", steps, 1)
     require_integer("seed", seed, 0)
-    env = ExplorationEnv(config, num_arenas, max_steps=steps, seed=seed, stream=stream)
+    env = ExplorationEnv(
+        config, num_arenas, max_steps=steps, arenas=arenas, seed=seed, stream=stream
+    )
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(seed)
         episode = play(policy, env, steps)
@@ -151,13 +167,13 @@ def record(
         action=torch.stack(actions, 1),
         **{key: torch.stack(values, 1) for key, values in events.items()},
         num_targets=target.flatten(-2).sum(-1),
-        num_cells=config.num_cells,
-        cell_size=config.cell_size,
-        max_discovery=config.max_discovery,
+        num_cells=env.config.num_cells,
+        cell_size=env.config.cell_size,
+        max_discovery=env.config.max_discovery,
     )
 
 
-def evaluate(policy: Actor, config: ArenaConfig, **options: Any) -> dict[str, float]:
+def evaluate(policy: Actor, config: ArenaConfig | None, **options: Any) -> dict[str, float]:
     """The measures of ``metrics.summarize`` for one policy; options as for ``record``."""
     return summarize(record(policy, config, **options))
 
@@ -182,28 +198,35 @@ def format_table(results: dict[str, dict[str, float]]) -> str:
         for title, key in TABLE_COLUMNS.items()
         if all(key in row for row in results.values())
     }
-    rows = [["policy", *columns]]
-    for name, measures in results.items():
-        rows.append([name, *(_format(measures[key]) for key in columns.values())])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
-    return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
-
-
-def _format(value: float) -> str:
-    if value != value:  # NaN: nothing happened that could be measured
-        return "-"
-    return f"{value:.1f}" if abs(value) >= 2 else f"{value:.3f}"
+    rows = [
+        [name, *(tables.number(measures[key]) for key in columns.values())]
+        for name, measures in results.items()
+    ]
+    return tables.text(["policy", *columns], rows)
 
 
 def write_results(
-    folder: Path, results: dict[str, dict[str, float]], record: dict[str, Any]
+    folder: Path,
+    results: dict[str, dict[str, float]],
+    record: dict[str, Any],
+    scores: Mapping[str, Mapping[str, Tensor]] | None = None,
 ) -> None:
-    """Write every measure as results.json and results.csv, and the main ones as table.txt."""
+    """Write every measure as results.json and results.csv, and the main ones as table.txt.
+
+    Args:
+        folder: where.
+        results: by policy and measure.
+        record: about the run, kept in results.json.
+        scores: by policy and measure the numbers of every arena [B], kept in results.json.
+    """
     measures = {n: {k: v if v == v else None for k, v in r.items()} for n, r in results.items()}
-    (folder / "results.json").write_text(
-        json.dumps({"results": measures, "run": record}, indent=2, default=str) + "\n"
-    )
+    content: dict[str, Any] = {"results": measures, "run": record}
+    if scores is not None:
+        content["scores"] = {
+            name: {key: values.tolist() for key, values in of_policy.items()}
+            for name, of_policy in scores.items()
+        }
+    (folder / "results.json").write_text(json.dumps(content, indent=2, default=str) + "\n")
     (folder / "table.txt").write_text(format_table(results) + "\n")
     with (folder / "results.csv").open("w", newline="") as file:
         writer = csv.writer(file)

@@ -15,6 +15,8 @@ from marl_explore.core.mapping import cells_of_share, known_cells, known_mask, k
 
 THRESHOLDS = (0.80, 0.90, 0.95, 0.99, 1.00)
 """Coverages whose first reaching is reported."""
+COVERAGE_STEPS = (20, 50, 150)
+"""Steps at which coverage is reported, beside the last."""
 
 
 class Snapshot(NamedTuple):
@@ -111,7 +113,26 @@ def before_completion(episodes: Episodes) -> Tensor:
     return known < episodes.num_targets.unsqueeze(-1)
 
 
-def communication_share(episodes: Episodes, steps: Tensor | None = None) -> float:
+class Share(NamedTuple):
+    """Events of a kind among events, counted per episode."""
+
+    part: Tensor
+    """int64 [B]."""
+    whole: Tensor
+    """int64 [B]."""
+
+    @property
+    def each(self) -> Tensor:
+        """The share in every episode, float64 [B]; NaN where nothing happened."""
+        return self.part.double() / self.whole
+
+    @property
+    def pooled(self) -> float:
+        """The share among the events of all episodes together; NaN if nothing happened."""
+        return float(self.part.sum().double() / self.whole.sum())
+
+
+def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Share:
     """Communicate actions over all actions.
 
     Args:
@@ -122,43 +143,43 @@ def communication_share(episodes: Episodes, steps: Tensor | None = None) -> floa
     return _share(communicating, torch.ones_like(communicating), steps)
 
 
-def useful_share(episodes: Episodes, steps: Tensor | None = None) -> float:
-    """Communicate actions that enlarged the sender's map over all of them.
-
-    Lone ones count as useless; NaN if no robot ever communicated.
-    """
+def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Share:
+    """Communicate actions that enlarged the sender's map over all of them, lone ones included."""
     communicating = episodes.action == COMMUNICATE
     return _share(communicating & (episodes.received[:, 1:] > 0), communicating, steps)
 
 
-def dangerous_share(episodes: Episodes) -> float:
-    """Refused moves over chosen moves; NaN if no robot ever chose a move."""
-    return _share(episodes.dangerous[:, 1:], episodes.action < NUM_DIRECTIONS, None)
+def dangerous_share(episodes: Episodes) -> Share:
+    """Refused moves over chosen moves."""
+    return _share(episodes.dangerous[:, 1:], episodes.action < NUM_DIRECTIONS)
 
 
-def _share(part: Tensor, whole: Tensor, steps: Tensor | None) -> float:
-    """Events of [B, T, N] over events, of all episodes together."""
+def enlarging_share(episodes: Episodes) -> Share:
+    """Enlargements of at least one cell over all enlargements, the zeros included."""
+    return _share(episodes.received > 0, episodes.merged)
+
+
+def large_enlargement_share(episodes: Episodes) -> Share:
+    """Enlargements of more than e_max cells over those of at least one."""
+    return _share(episodes.received > episodes.max_discovery, episodes.received > 0)
+
+
+def _share(part: Tensor, whole: Tensor, steps: Tensor | None = None) -> Share:
+    """Events bool [B, T, N] among events, at the steps bool [B, T] that count."""
     if steps is not None:
         part, whole = part & steps.unsqueeze(-1), whole & steps.unsqueeze(-1)
-    return float(part.sum().double() / whole.sum())
+    return Share(part.flatten(1).sum(-1), whole.flatten(1).sum(-1))
 
 
 def enlargements(episodes: Episodes) -> Tensor:
-    """Cells each merge added to each member's map, zeros included, int64 [number of merges]."""
+    """Cells each merge added to each member's map, zeros included, int64 [number of them]."""
     return episodes.received[episodes.merged]
 
 
-def large_enlargement_share(episodes: Episodes) -> float:
-    """Share of the enlarging merges that added more than e_max cells; NaN without any."""
-    added = enlargements(episodes)
-    added = added[added > 0]
-    return float((added > episodes.max_discovery).double().mean())
-
-
 def cells_sent(episodes: Episodes) -> Tensor:
-    """|M_i| summed over every member of every merge, int64 [B] (cells)."""
+    """|M_i| summed over every member of every merge so far, int64 [B, T + 1] (cells)."""
     own = episodes.maps.known_cells - episodes.received  # what a member knew when it sent
-    return (own * episodes.merged).flatten(1).sum(-1)
+    return (own * episodes.merged).sum(-1).cumsum(-1)
 
 
 def cells_received(episodes: Episodes) -> Tensor:
@@ -180,37 +201,47 @@ def overlap(episodes: Episodes) -> Tensor:
     return discovered / episodes.maps.union_cells[:, -1] - 1
 
 
-def summarize(episodes: Episodes) -> dict[str, float]:
-    """Every measure by name: times and cells as means over episodes, shares over all events."""
-    maps, targets = episodes.maps, episodes.num_targets
-    largest, smallest = maps.known_targets.amax(-1), maps.known_targets.amin(-1)
-    curves = coverage(episodes)
+def shares(episodes: Episodes) -> dict[str, Share]:
+    """Every share of events by name."""
     unfinished = before_completion(episodes)
-    summary: dict[str, Tensor | float] = {}
-    for share in THRESHOLDS:
-        percent = round(100 * share)
-        summary[f"steps_to_{percent}"] = steps_to(largest, targets, share)
-        summary[f"merged_steps_to_{percent}"] = steps_to(maps.union_targets, targets, share)
-    summary["steps_to_all_complete"] = steps_to(smallest, targets, 1.0)
-    summary["complete"] = (largest[:, -1] == targets).double()
-    for step in (50, 150, episodes.horizon):
-        if step <= episodes.horizon:
-            summary[f"coverage_at_{step}"] = curves["largest"][:, step]
-    summary |= {f"final_{name}_coverage": curve[:, -1] for name, curve in curves.items()}
-    summary |= {
-        "final_known_ratio": known_ratio(episodes)[:, -1],
+    return {
         "communication_share": communication_share(episodes),
         "useful_share": useful_share(episodes),
         "communication_share_before_completion": communication_share(episodes, unfinished),
         "useful_share_before_completion": useful_share(episodes, unfinished),
+        "enlarging_share": enlarging_share(episodes),
         "large_enlargement_share": large_enlargement_share(episodes),
-        "cells_sent": cells_sent(episodes),
-        "cells_received": cells_received(episodes),
         "dangerous_share": dangerous_share(episodes),
+    }
+
+
+def per_episode(episodes: Episodes) -> dict[str, Tensor]:
+    """Times, coverages and cells of every episode by name, float64 [B] each."""
+    maps, targets = episodes.maps, episodes.num_targets
+    largest, smallest = maps.known_targets.amax(-1), maps.known_targets.amin(-1)
+    curves = coverage(episodes)
+    scores: dict[str, Tensor] = {}
+    for share in THRESHOLDS:
+        percent = round(100 * share)
+        scores[f"steps_to_{percent}"] = steps_to(largest, targets, share)
+        scores[f"merged_steps_to_{percent}"] = steps_to(maps.union_targets, targets, share)
+    scores["steps_to_all_complete"] = steps_to(smallest, targets, 1.0)
+    scores["complete"] = largest[:, -1] == targets
+    for step in (*COVERAGE_STEPS, episodes.horizon):
+        if step <= episodes.horizon:
+            scores[f"coverage_at_{step}"] = curves["largest"][:, step]
+    scores |= {f"final_{name}_coverage": curve[:, -1] for name, curve in curves.items()}
+    scores |= {
+        "final_known_ratio": known_ratio(episodes)[:, -1],
+        "cells_sent": cells_sent(episodes)[:, -1],
+        "cells_received": cells_received(episodes),
         "distance_m": distance_travelled(episodes),
         "overlap": overlap(episodes),
     }
-    return {
-        name: float(torch.as_tensor(value, dtype=torch.float64).mean())
-        for name, value in summary.items()
-    }
+    return {name: score.double() for name, score in scores.items()}
+
+
+def summarize(episodes: Episodes) -> dict[str, float]:
+    """Every measure by name: the mean over episodes, of shares the pooled one."""
+    means = {name: float(score.mean()) for name, score in per_episode(episodes).items()}
+    return means | {name: share.pooled for name, share in shares(episodes).items()}

@@ -6,6 +6,7 @@ the networks.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -68,6 +69,7 @@ class Policy(TensorDictModuleBase):
         ("agents", "observation", "fov"),
     ]
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
+    sees = "own FOV, FPR, NET"
 
     def __init__(self, spec: PolicySpec, actors: Iterable[nn.Module]) -> None:
         super().__init__()
@@ -168,6 +170,11 @@ def policy_info(path_or_name: str | Path) -> dict[str, Any]:
     """The information that was saved with a policy."""
     with safe_open(_find(path_or_name), framework="pt") as file:
         return json.loads((file.metadata() or {}).get("info", "{}"))
+
+
+def policy_digest(path_or_name: str | Path) -> str:
+    """SHA-256 of a policy's file."""
+    return hashlib.sha256(_find(path_or_name).read_bytes()).hexdigest()
 
 
 def list_policies() -> list[str]:

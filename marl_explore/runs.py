@@ -8,7 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 from torchrl.record import CSVLogger
 from tqdm import tqdm
 
+from marl_explore.arenas import full_name
 from marl_explore.config import TrainConfig
 from marl_explore.files import whole_file
 from marl_explore.policies import Policy, save_policy
@@ -77,6 +78,7 @@ def train(config: TrainConfig, folder: str | Path, progress: bool = True) -> Pol
     Raises:
         ValueError: before anything is written, when the folder is in use.
     """
+    config = replace(config, arenas=full_name(config.arenas))
     trainer = Trainer(config)  # wrong settings end here, before a folder is made
     folder = new_folder(folder)
     record = provenance()

@@ -34,6 +34,7 @@ def make_training_env(config: TrainConfig) -> EnvBase:
         reward=config.reward,
         max_steps=config.episode_steps,
         terminate_at_coverage=config.terminate_at_coverage,
+        arenas=config.arenas,
         seed=config.seed,
         fpr=config.fpr,
     )

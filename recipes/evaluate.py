@@ -2,13 +2,15 @@
 
 python recipes/evaluate.py runs/my-run nearest-timer random
 
+python recipes/evaluate.py nearest-timer random --arenas rooms-32
+
 The arenas are those the first trained policy was trained for, changed by the flags.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -25,10 +27,12 @@ class Arguments:
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]
     """Run folders, policy files, bundled policies or planners."""
     arena: ArenaConfig = field(default_factory=ArenaConfig)
+    arenas: str = "uniform"
+    """A suite, whose size and density then are the arena's, or uniform."""
     num_arenas: int = 200
     """Test arenas, the same for every policy."""
-    steps: int = 300
-    """Steps of every episode."""
+    steps: int | None = None
+    """Steps of every episode; default: the suite's, 300 for uniform arenas."""
     seed: int = 0
     """Seed of the arenas and of sampled actions."""
     out: Path | None = None
@@ -37,7 +41,8 @@ class Arguments:
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         require_integer("num_arenas", self.num_arenas, 1)
-        require_integer("steps", self.steps, 1)
+        if self.steps is not None:
+            require_integer("steps", self.steps, 1)
         require_integer("seed", self.seed, 0)
 
 
@@ -47,35 +52,45 @@ def parse() -> Arguments:
         Arguments,
         prog="evaluate.py",
         description=__doc__,
-        default=Arguments((), cli.trained_arena(sys.argv[1:])),
+        default=Arguments((), *cli.default_task(sys.argv[1:])),
         config=cli.OPTIONS,
     )
 
 
 def run(arguments: Arguments) -> None:
     """Evaluate every policy, print the table and write it."""
-    from marl_explore import runs
-    from marl_explore.evaluation import evaluate, find_policy, format_table, write_results
+    from marl_explore import metrics, runs
+    from marl_explore.arenas import default_steps, full_name
+    from marl_explore.evaluation import find_policy, format_table, write_results
+    from marl_explore.evaluation import record as record_episodes
 
     if not arguments.policies:
         raise ValueError("name at least one policy, such as random or a run folder")
+    arguments = replace(
+        arguments,
+        arenas=full_name(arguments.arenas),
+        steps=arguments.steps or default_steps(arguments.arenas),
+    )
     record = runs.provenance() | {"settings": asdict(arguments)}
     if arguments.out:
         runs.require_new(arguments.out)
     policies = {name: find_policy(name, arguments.arena) for name in arguments.policies}
-    results = {}
+    results, scores = {}, {}
     for name, policy in policies.items():
-        results[name] = evaluate(
+        episodes = record_episodes(
             policy,
             arguments.arena,
             num_arenas=arguments.num_arenas,
             steps=arguments.steps,
             seed=arguments.seed,
+            arenas=arguments.arenas,
         )
+        results[name] = metrics.summarize(episodes)
+        scores[name] = metrics.per_episode(episodes)
     print(format_table(results))
     if arguments.out:
         folder = runs.new_folder(arguments.out)
-        write_results(folder, results, record)
+        write_results(folder, results, record, scores)
         print(f"all measures: {folder}")
 
 

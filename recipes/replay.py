@@ -26,12 +26,14 @@ class Arguments:
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]
     """Run folders, policy files, bundled policies or planners."""
     arena: ArenaConfig = field(default_factory=ArenaConfig)
+    arenas: str = "uniform"
+    """A suite, whose size and density then are the arena's, or uniform."""
     arena_index: int = 0
     """Test arena; those of evaluate.py are 0, 1, 2, ..."""
     seed: int = 0
     """Seed of the arena and of sampled actions."""
-    steps: int = 300
-    """Most steps of an episode."""
+    steps: int | None = None
+    """Most steps of an episode; default: the suite's, 300 for uniform arenas."""
     out: Path = Path("replay.html")
     """File to write; an earlier one is replaced."""
 
@@ -39,7 +41,8 @@ class Arguments:
         """Refuse what cannot be."""
         require_integer("arena_index", self.arena_index, 0)
         require_integer("seed", self.seed, 0)
-        require_integer("steps", self.steps, 1)
+        if self.steps is not None:
+            require_integer("steps", self.steps, 1)
 
 
 def parse() -> Arguments:
@@ -48,7 +51,7 @@ def parse() -> Arguments:
         Arguments,
         prog="replay.py",
         description=__doc__,
-        default=Arguments((), cli.trained_arena(sys.argv[1:])),
+        default=Arguments((), *cli.default_task(sys.argv[1:])),
         config=cli.OPTIONS,
     )
 
@@ -64,7 +67,14 @@ def run(arguments: Arguments) -> None:
     record = runs.provenance()
     policies = {name: find_policy(name, arguments.arena) for name in arguments.policies}
     episodes = {
-        name: watch(policy, arguments.arena, arguments.arena_index, arguments.steps, arguments.seed)
+        name: watch(
+            policy,
+            arguments.arena,
+            arguments.arena_index,
+            arguments.steps,
+            arguments.seed,
+            arenas=arguments.arenas,
+        )
         for name, policy in policies.items()
     }
     arguments.out.parent.mkdir(parents=True, exist_ok=True)

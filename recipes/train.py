@@ -3,12 +3,15 @@
 python recipes/train.py fast
 
 python recipes/train.py paper-cnn-case2 --seed 1 --out runs/cnn-case2-seed1
+
+python recipes/train.py fast --arenas rooms-32
 """
 
 from __future__ import annotations
 
+import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
@@ -33,9 +36,16 @@ class Arguments:
 
 
 def parse() -> Arguments:
-    """Read the command line: a preset, and what to change in it."""
+    """Read the command line: a preset, and what to change in it.
+
+    A suite that it names brings its size and density, which other flags then cannot change.
+    """
+    arenas = cli.named_arenas(sys.argv[1:]) or "uniform"
     presets = {
-        name: (f"{c.architecture}, reward {c.reward}, {c.episodes} episodes", Arguments(train=c))
+        name: (
+            f"{c.architecture}, reward {c.reward}, {c.episodes} episodes",
+            Arguments(train=replace(c, arena=cli.fitted(c.arena, arenas))),
+        )
         for name, c in PRESETS.items()
     }
     return tyro.extras.overridable_config_cli(

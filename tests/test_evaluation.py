@@ -9,8 +9,9 @@ import json
 import pytest
 import torch
 
-from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore import ArenaConfig, ExplorationEnv, arenas
 from marl_explore.core.grid import COMMUNICATE, action_offsets
+from marl_explore.core.mapping import target_cells
 from marl_explore.evaluation import (
     evaluate,
     find_policy,
@@ -82,16 +83,32 @@ def test_watch_shows_one_of_the_arenas_of_record_until_it_is_complete():
         watch(policy, SMALL, arena_index=-1)
 
 
+def test_a_suite_brings_its_arenas_robots_and_length():
+    suite = arenas.suite("corridor-24")
+    policy = find_policy("nearest", suite.config)
+    episodes = record(policy, None, num_arenas=2, arenas="corridor-24")
+    assert episodes.horizon == suite.steps == 500
+    assert episodes.num_cells == 24 * 24
+    env = ExplorationEnv(num_envs=2, arenas="corridor-24", stream="test")
+    start = env.reset()
+    target = target_cells(start["obstacles"], start["agents", "position"])
+    assert torch.equal(episodes.num_targets, target.flatten(1).sum(-1))
+    watched = watch(policy, None, arena_index=1, steps=3, arenas="corridor-24")
+    assert torch.equal(watched[0]["obstacles"][0], start["obstacles"][1])
+
+
 def test_results_are_written_as_text_json_and_csv(tmp_path):
     results = {"a": {"steps_to_95": 12.34, "useful_share": float("nan")}}
     results["b"] = {"steps_to_95": 7.0, "useful_share": 0.25}
-    write_results(tmp_path, results, {"command": "test"})
+    scores = {"a": {"steps_to_95": torch.tensor([12.0, 12.68])}}
+    write_results(tmp_path, results, {"command": "test"}, scores)
     table = (tmp_path / "table.txt").read_text()
     assert table == format_table(results) + "\n"
     assert table.splitlines()[2].split() == ["a", "12.3", "-"]
     saved = json.loads((tmp_path / "results.json").read_text())
     assert saved["results"]["a"] == {"steps_to_95": 12.34, "useful_share": None}
     assert saved["run"] == {"command": "test"}
+    assert saved["scores"]["a"]["steps_to_95"] == pytest.approx([12, 12.68])
     rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
     assert [row["policy"] for row in rows] == ["a", "b"]
     assert float(rows[1]["useful_share"]) == 0.25

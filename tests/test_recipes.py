@@ -45,8 +45,36 @@ def test_train_then_evaluate(tmp_path):
     assert evaluated.returncode == 0, evaluated.stderr
     results = json.loads((out / "results.json").read_text())
     assert list(results["results"]) == [str(run), "nearest", "random"]
+    scores = results["scores"]["random"]["steps_to_100"]
+    assert len(scores) == 5
+    assert results["results"]["random"]["steps_to_100"] == pytest.approx(sum(scores) / 5)
     assert (out / "table.txt").read_text().strip() in evaluated.stdout
     assert len((out / "results.csv").read_text().splitlines()) == 4
+
+
+def test_train_and_evaluate_on_a_suite(tmp_path):
+    tiny = (
+        "--arenas corridor-24 --num-agents 2 --hidden 8 --episodes 2 --episode-steps 4 "
+        "--num-envs 2 --rollout-steps 4 --minibatches 1"
+    ).split()
+    trained = recipe("train.py", "fast", *tiny, "--out", tmp_path / "run")
+    assert trained.returncode == 0, trained.stderr
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["arenas"] == "corridor-24-v1"  # later versions do not change what this run was
+    assert config["arena"]["height"] == config["arena"]["width"] == 24
+
+    few = "--num-arenas 2 --steps 3 --out".split()
+    for name, arenas in {"own": [], "named": ["--arenas", "open-24"]}.items():
+        done = recipe("evaluate.py", tmp_path / "run", *arenas, *few, tmp_path / name)
+        assert done.returncode == 0, done.stderr
+    settings = {
+        name: json.loads((tmp_path / name / "results.json").read_text())["run"]["settings"]
+        for name in ("own", "named")
+    }
+    assert settings["own"]["arenas"] == "corridor-24-v1"  # those the policy was trained on
+    assert settings["named"]["arenas"] == "open-24-v1"
+    assert settings["named"]["arena"]["obstacle_density"] == 0.1
+    assert settings["named"]["arena"]["num_agents"] == 2  # the policy's
 
 
 def test_demo_makes_table_figure_and_animation(tmp_path):
@@ -82,6 +110,43 @@ def test_replay_shows_every_policy_and_how_it_was_made(tmp_path):
     assert "--arena-index 3 --steps 20" in page
 
 
+def test_leaderboard_goes_on_where_it_was(tmp_path):
+    small = "--suites paper-12 corridor-24 --num-arenas 2 --steps 20 --out board".split()
+    done = recipe("leaderboard.py", "nearest", *small[:2], *small[3:], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    board = tmp_path / "board"
+    (old,) = (board / "cells").iterdir()
+    kept = old.stat().st_mtime_ns
+
+    done = recipe("leaderboard.py", "nearest", "two=random,nearest-timer", *small, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert old.stat().st_mtime_ns == kept  # read, not measured again
+    assert len(list((board / "cells").iterdir())) == 6
+    assert (board / "table.txt").read_text() in done.stdout
+    rows = json.loads((board / "table.json").read_text())["rows"]
+    assert {(row["suite"], row["policy"], row["seeds"]) for row in rows} == {
+        (suite, *entry)
+        for suite in ("paper-12-v1", "corridor-24-v1")
+        for entry in (("nearest", 1), ("two", 2))
+    }
+    page = (board / "report.html").read_text()
+    assert "corridor-24-v1: 2 arenas, 20 steps" in page
+    assert "two=random,nearest-timer" in page
+
+    refused = recipe("leaderboard.py", "nearest", *small, "--seed", "5", cwd=tmp_path)
+    assert refused.returncode == 1
+    assert "seed was 0 and now is 5" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_leaderboard_does_not_write_into_a_folder_of_other_things(tmp_path):
+    (tmp_path / "table.txt").write_text("mine")
+    done = recipe("leaderboard.py", "nearest", "--out", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: output folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["table.txt"]
+
+
 def test_demo_does_not_replace_a_folder_it_did_not_make(tmp_path):
     (tmp_path / "precious.txt").write_text("mine")
     done = recipe("demo.py", "--out", tmp_path)
@@ -107,7 +172,8 @@ def test_minimal_happo_learns_within_100_lines():
 
 
 @pytest.mark.parametrize(
-    "name", ["train.py", "evaluate.py", "replay.py", "demo.py", "minimal_happo.py"]
+    "name",
+    ["train.py", "evaluate.py", "replay.py", "demo.py", "leaderboard.py", "minimal_happo.py"],
 )
 def test_help(name):
     done = recipe(name, "--help")
@@ -122,6 +188,9 @@ def test_help(name):
         (["train.py", "fast", "--gamma", "2"], "gamma=2.0"),
         (["train.py", "fast", "--num-agents", "500"], "num_agents=500"),
         (["train.py", "fast", "--obstacle-density", "0.9"], "obstacle_density=0.9"),
+        (["train.py", "fast", "--arenas", "rooms"], "arenas='rooms' is unknown"),
+        (["train.py", "fast", "--arenas=rooms-32", "--height", "9"], "config.height=9"),
+        (["evaluate.py", "random", "--arenas", "rooms-32", "--width", "9"], "config.width=9"),
         (["train.py", "fast", "--reward", "fame"], "reward='fame' is unknown"),
         (["evaluate.py", "nobody"], "no policy 'nobody'"),
         (["evaluate.py"], "name at least one policy"),
@@ -131,6 +200,9 @@ def test_help(name):
         (["replay.py"], "name at least one policy"),
         (["replay.py", "random", "--arena-index", "-1"], "arena_index=-1"),
         (["replay.py", "random", "--steps", "0"], "steps=0"),
+        (["leaderboard.py", "nobody"], "no policy 'nobody'"),
+        (["leaderboard.py", "random", "--suites", "rooms"], "arenas='rooms' is unknown"),
+        (["leaderboard.py", "random", "--num-arenas", "0"], "num_arenas=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
         (["demo.py", "--episodes", "1"], "episodes=1"),

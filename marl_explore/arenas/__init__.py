@@ -34,6 +34,8 @@ __all__ = [
     "Suite",
     "Uniform",
     "default_config",
+    "default_steps",
+    "full_name",
     "list_suites",
     "load_map",
     "resolve",
@@ -87,3 +89,17 @@ def default_config(arenas: str | Generator) -> ArenaConfig:
     if isinstance(arenas, ArenaGenerator):
         return arenas.config
     return ArenaConfig() if callable(arenas) or arenas == "uniform" else suite(arenas).config
+
+
+def default_steps(arenas: str | Generator) -> int:
+    """Length of an evaluation on arenas: a suite's own, or the paper's 300 steps."""
+    return 300 if callable(arenas) or arenas == "uniform" else suite(arenas).steps
+
+
+def full_name(arenas: str) -> str:
+    """A suite's name with its version.
+
+    Raises:
+        ValueError: naming the known suites, for an unknown name.
+    """
+    return arenas if arenas == "uniform" else suite(arenas).id

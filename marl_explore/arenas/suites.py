@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -18,6 +18,8 @@ from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.uniform import Uniform
 from marl_explore.config import ArenaConfig
 from marl_explore.core.hashing import stream_seed
+
+_ARENA_FIELDS = ("height", "width", "obstacle_density")
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,9 @@ class Suite:
     """From a configuration to the generator of its arenas."""
     digest: str
     """The fingerprint of the arenas that this version draws."""
+    steps: int
+    """Length of an evaluation: the paper's 300, or nearly twice what nearest-frontier robots that
+    never communicate take."""
     fixed: tuple[str, ...] = ("height", "width")
     """Fields of ``config`` that make these arenas what they are."""
 
@@ -41,6 +46,10 @@ class Suite:
     def id(self) -> str:
         """Name and version, such as "rooms-32-v1"."""
         return f"{self.name}-v{self.version}"
+
+    def fit(self, config: ArenaConfig) -> ArenaConfig:
+        """The robots and ranges of ``config`` in arenas of the suite's size and density."""
+        return replace(config, **{name: getattr(self.config, name) for name in _ARENA_FIELDS})
 
     def generator(self, config: ArenaConfig) -> Generator:
         """The suite's generator for the robots of ``config``.
@@ -74,8 +83,6 @@ def _square(side: int, density: float) -> ArenaConfig:
     return ArenaConfig(height=side, width=side, obstacle_density=density)
 
 
-_UNIFORM = ("height", "width", "obstacle_density")
-
 SUITES = (
     Suite(
         name="paper-12",
@@ -83,7 +90,8 @@ SUITES = (
         config=ArenaConfig(),
         make=Uniform,
         digest="244b534f290772c6bad2d8b5edb413cd00f4a9fc4566b84f334adb1ae141db48",
-        fixed=_UNIFORM,
+        steps=300,
+        fixed=_ARENA_FIELDS,
     ),
     Suite(
         name="open-24",
@@ -91,7 +99,8 @@ SUITES = (
         config=_square(24, density=0.1),
         make=Uniform,
         digest="6273fdd9915be7c28d867a1c27c343aa63d15f2deb48c32fdb90ca12836ca290",
-        fixed=_UNIFORM,
+        steps=500,
+        fixed=_ARENA_FIELDS,
     ),
     Suite(
         name="rooms-32",
@@ -99,6 +108,7 @@ SUITES = (
         config=_square(32, density=0.15),
         make=partial(Rooms, starts="clustered"),
         digest="1502783d7207bee0b71cb41904240ecb57115d025bb99e9d3b1afa33a7d72b32",
+        steps=1000,
     ),
     Suite(
         name="maze-32",
@@ -106,6 +116,7 @@ SUITES = (
         config=_square(32, density=0.27),
         make=partial(Mazes, starts="clustered"),
         digest="b4a90f784ced8683179a3eb55b4b1cbfa39bd9abac3bbd1fcb5bedf839b40322",
+        steps=1000,
     ),
     Suite(
         name="cave-48",
@@ -113,6 +124,7 @@ SUITES = (
         config=_square(48, density=0.4),
         make=partial(Caves, starts="clustered"),
         digest="3d0c35450a796be2c44f9ab9c1ec7c2dbef5a682bf923475cd57a929e932af4d",
+        steps=1500,
     ),
     Suite(
         name="corridor-24",
@@ -120,6 +132,7 @@ SUITES = (
         config=_square(24, density=0.51),
         make=Corridors,
         digest="38c12395ed21e760856c96c21ecebc3986c1aa9e080728d1da404fdb81b2c761",
+        steps=500,
     ),
 )
 

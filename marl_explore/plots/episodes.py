@@ -1,11 +1,9 @@
-"""Figures and animations (matplotlib): coverage over steps, and one episode's maps."""
+"""One episode's arena, maps and paths, as a figure and as an animation."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import cycle
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -16,51 +14,12 @@ from matplotlib.animation import (
     PillowWriter,
 )
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 from tensordict import TensorDictBase
-from torch import Tensor
 
 from marl_explore.palette import COLORS
-
-UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR = "#B8B8B8", "#FFFFFF", "#404040"
-STYLE: dict[Any, Any] = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "font.size": 9,
-    "figure.dpi": 100,
-    "savefig.dpi": 150,
-}
-
-
-def coverage_figure(curves: Mapping[str, Tensor], path: str | Path) -> Path:
-    """Coverage of the largest map over steps, a line per policy with the middle half shaded.
-
-    Args:
-        curves: per policy [B, T + 1], shares of the target cells.
-        path: image file to write.
-    """
-    with matplotlib.rc_context(STYLE):
-        # without pyplot: a user's backend and open figures stay as they are
-        figure = Figure(figsize=(6, 3.6), layout="constrained")
-        axes = figure.subplots()
-        for (name, curve), color in zip(curves.items(), cycle(COLORS)):
-            values = 100 * curve.numpy()
-            steps = np.arange(values.shape[1])
-            axes.plot(steps, values.mean(0), color=color, label=name, linewidth=1.8)
-            low, high = np.percentile(values, (25, 75), axis=0)
-            axes.fill_between(steps, low, high, color=color, alpha=0.15, linewidth=0)
-        axes.set(
-            xlabel="step",
-            ylabel="coverage of the largest map (%)",
-            xlim=(0, values.shape[1] - 1),
-            ylim=(0, 102),
-            title=f"mean and middle half over {len(values)} arenas",
-        )
-        axes.grid(alpha=0.25)
-        axes.legend(frameon=False, loc="lower right")
-        return _save(figure, path)
+from marl_explore.plots.style import FREE_COLOR, OBSTACLE_COLOR, STYLE, UNKNOWN_COLOR, save
 
 
 def episode_animation(
@@ -108,7 +67,7 @@ def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int
     with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
         draw(len(frames) - 1)
-        return _save(figure, path)
+        return save(figure, path)
 
 
 class _Frame:
@@ -138,7 +97,7 @@ def _panels(frames: Sequence[_Frame]):  # type: ignore[no-untyped-def]
             known = (frame.maps[robot] >= 0).sum() / num_cells
             _draw_grid(panel, frame.maps[robot], f"robot {robot}: {known:.0%} known", color)
             for place in (truth, panel):
-                place.plot(path[:, 1], path[:, 0], color=color, alpha=0.5, linewidth=1.2)
+                place.plot(path[:, 1], path[:, 0], color=color, alpha=0.75, linewidth=1.2)
                 place.plot(*path[-1, ::-1], "o", color=color, markersize=6)
             if frame.merged[robot]:  # a ring around robots that exchange maps
                 truth.plot(*path[-1, ::-1], "o", color=color, markersize=12, fillstyle="none")
@@ -150,17 +109,16 @@ def _colored(panels: Sequence[Axes]) -> Iterator[tuple[Axes, str]]:
     return ((panel, COLORS[i % len(COLORS)]) for i, panel in enumerate(panels))
 
 
-def _draw_grid(axes: Axes, grid: np.ndarray, title: str, color: str = "black") -> None:
-    """A grid of -1 unknown, 0 free, 1 occupied."""
+def _draw_grid(axes: Axes, grid: np.ndarray, title: str, color: str = "") -> None:
+    """A grid of -1 unknown, 0 free, 1 occupied; of a robot, what is free in its colour."""
     axes.clear()
-    shades = [UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR]
+    shades = [UNKNOWN_COLOR, _pale(color) if color else FREE_COLOR, OBSTACLE_COLOR]
     axes.imshow(grid, cmap=ListedColormap(shades), vmin=-1, vmax=1)
-    axes.set_title(title, color=color)
+    axes.set_title(title, color=color or "black")
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(True)
 
 
-def _save(figure: Figure, path: str | Path) -> Path:
-    path = Path(path)
-    figure.savefig(path)
-    return path
+def _pale(color: str) -> str:
+    red, green, blue = (0.75 + 0.25 * part for part in to_rgb(color))
+    return to_hex((red, green, blue))

@@ -1,0 +1,20 @@
+"""Policies on suites: measured cell by cell, ranked, and written as tables and one HTML report."""
+
+from __future__ import annotations
+
+from marl_explore.leaderboard.cells import Cell, make_cells
+from marl_explore.leaderboard.entries import Entry, parse_entries
+from marl_explore.leaderboard.ranking import Row, rank
+from marl_explore.leaderboard.report import write_report
+from marl_explore.leaderboard.table import write_tables
+
+__all__ = [
+    "Cell",
+    "Entry",
+    "Row",
+    "make_cells",
+    "parse_entries",
+    "rank",
+    "write_report",
+    "write_tables",
+]

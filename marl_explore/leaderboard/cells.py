@@ -1,0 +1,179 @@
+"""Cells of a leaderboard: one policy on one suite, measured once and kept as one JSON file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from marl_explore import metrics, runs
+from marl_explore.arenas import Suite
+from marl_explore.evaluation import TEST_STREAM, find_policy, record
+from marl_explore.files import whole_file
+from marl_explore.metrics import Episodes
+from marl_explore.planners import PLANNERS
+from marl_explore.policies import policy_digest
+from marl_explore.stats import middle_half
+
+FORMAT = 1
+"""Counts up when ``measured`` keeps something else."""
+
+Result = dict[str, Any]
+"""The content of a cell's file; ``measure`` says what it holds."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is measured; everything that its numbers depend on is in ``settings``."""
+
+    policy: str
+    suite: Suite
+    num_arenas: int
+    steps: int
+    seed: int
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What two cells with the same numbers have in common."""
+        return {
+            "format": FORMAT,
+            "policy": self.policy,
+            "weights": None if self.policy in PLANNERS else policy_digest(self.policy),
+            "suite": self.suite.id,
+            "fingerprint": self.suite.digest,
+            "arena": asdict(self.suite.config),
+            "num_arenas": self.num_arenas,
+            "steps": self.steps,
+            "seed": self.seed,
+            "stream": TEST_STREAM,
+            "marl-explore": version("marl-explore"),
+        }
+
+    @property
+    def file_name(self) -> str:
+        """A name of its own, whatever the policy's is."""
+        name = re.sub(r"[^\w.-]+", "_", self.policy)
+        if name != self.policy:
+            name += "-" + hashlib.sha256(self.policy.encode()).hexdigest()[:8]
+        return f"{name}--{self.suite.id}.json"
+
+
+def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> dict[Cell, Result]:
+    """The results of all cells: those that the folder holds are read, the others measured.
+
+    Args:
+        folder: where every cell is kept as soon as it is measured.
+        cells: what to measure.
+        progress: whether to show a progress bar.
+
+    Raises:
+        ValueError: before anything is measured, when a policy cannot act on a suite, or a file of
+            the folder was made under other settings or is no cell.
+    """
+    cells = list(dict.fromkeys(cells))
+    for cell in cells:
+        find_policy(cell.policy, cell.suite.config)
+    paths = {cell: folder / cell.file_name for cell in cells}
+    results = {cell: read(path, cell) for cell, path in paths.items() if path.exists()}
+    folder.mkdir(parents=True, exist_ok=True)
+    terminal = sys.stderr.isatty()
+    with tqdm(
+        total=len(cells),
+        initial=len(results),
+        unit="cell",
+        disable=not progress,
+        mininterval=0.2 if terminal else 15,  # a log file wants few lines
+    ) as bar:
+        for cell in cells:
+            if cell not in results:
+                bar.set_postfix_str(f"{cell.policy} on {cell.suite.id}", refresh=terminal)
+                results[cell] = measure(cell)
+                with whole_file(paths[cell]) as unfinished:
+                    unfinished.write_text(json.dumps(results[cell]) + "\n")
+                bar.update()
+    return results
+
+
+def read(path: Path, cell: Cell) -> Result:
+    """The result in a file.
+
+    Raises:
+        ValueError: when it is none, or that of another cell, naming the difference.
+    """
+    try:
+        result: Result = json.loads(path.read_text())
+        made = dict(result["settings"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is no cell of a leaderboard: delete it ({error!r})") from error
+    wanted = cell.settings
+    different = [
+        f"{name} was {made.get(name)!r} and now is {wanted.get(name)!r}"
+        for name in {**made, **wanted}
+        if made.get(name) != wanted.get(name)
+    ]
+    if different:
+        raise ValueError(
+            f"{path} was made under other settings: {'; '.join(different)}. Choose another folder, "
+            "or delete the file to measure it again"
+        )
+    return result
+
+
+def measure(cell: Cell) -> Result:
+    """Run a cell's policy on its arenas.
+
+    Returns:
+        "settings", "run" (command, versions, seconds), "planner", "reference" and "sees" of the
+        policy, and ``measured``.
+    """
+    start = time.perf_counter()
+    provenance = runs.provenance()
+    policy = find_policy(cell.policy, cell.suite.config)
+    episodes = record(
+        policy,
+        cell.suite.config,
+        num_arenas=cell.num_arenas,
+        steps=cell.steps,
+        seed=cell.seed,
+        arenas=cell.suite.id,
+    )
+    return {
+        "settings": cell.settings,
+        "run": provenance | {"seconds": round(time.perf_counter() - start, 1)},
+        "planner": cell.policy in PLANNERS,
+        "reference": bool(getattr(policy, "reference", False)),
+        "sees": str(getattr(policy, "sees", "-")),
+        **measured(episodes),
+    }
+
+
+def measured(episodes: Episodes) -> dict[str, Any]:
+    """What a cell keeps of its episodes.
+
+    Returns:
+        "scores" by measure and arena; "shares" by measure: counts of events by arena, part and
+        whole; over steps "coverage" of the largest map (mean, quartiles) and mean "cells_sent" so
+        far; "enlargements": how many there were of 0, 1, 2 ... cells; "max_discovery" (e_max).
+    """
+    coverage = metrics.coverage(episodes)["largest"].numpy()
+    sent = metrics.cells_sent(episodes).double().mean(0)
+    return {
+        "scores": {k: v.tolist() for k, v in metrics.per_episode(episodes).items()},
+        "shares": {
+            name: {"part": share.part.tolist(), "whole": share.whole.tolist()}
+            for name, share in metrics.shares(episodes).items()
+        },
+        "coverage": [line.tolist() for line in middle_half(coverage)],
+        "cells_sent": sent.tolist(),
+        "enlargements": metrics.enlargements(episodes).bincount().tolist(),
+        "max_discovery": episodes.max_discovery,
+    }

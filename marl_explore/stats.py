@@ -1,0 +1,196 @@
+"""Statistics of scores: interquartile mean, bootstrap intervals, comparisons of two policies.
+
+Scores are arrays [S, A] of S training seeds on A arenas, or [A] of one seed. ``docs/metrics.md``
+gives every formula. The definitions are those of Agarwal et al., "Deep Reinforcement Learning at
+the Edge of the Statistical Precipice" (2021) and of their library rliable; what the bootstrap
+draws by default is not (see ``Resample``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import trim_mean
+
+Array = NDArray[np.float64]
+
+Resample = Literal["crossed", "stratified"]
+"""What a bootstrap draws with replacement.
+
+"crossed": seeds as whole rows, and arenas as whole columns. It answers for other seeds and other
+arenas, and takes into account that all scores of one seed share its luck. One seed says nothing of
+others: then the interval is over arenas alone.
+
+"stratified", the default of rliable: within every arena seeds anew, independently of the other
+arenas. It answers for the same arenas, and holds when a policy was trained for each of them.
+"""
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+
+
+class Estimate(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Band(NamedTuple):
+    """A curve [X] between two others."""
+
+    value: Array
+    low: Array
+    high: Array
+
+
+def interquartile_mean(scores: ArrayLike) -> float:
+    """Mean of the middle half of all scores: floor(n / 4) of n are left out at either end."""
+    return float(trim_mean(np.asarray(scores, np.float64), 0.25, axis=None))
+
+
+def interval(
+    scores: ArrayLike,
+    statistic: Callable[[Array], float] = interquartile_mean,
+    resample: Resample = "crossed",
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> Estimate:
+    """A statistic of scores with its percentile bootstrap interval.
+
+    Args:
+        scores: [S, A] or [A].
+        statistic: of an array [S, A].
+        resample: what is drawn; "stratified" takes two seeds or more.
+        seed: of the draws.
+        resamples: number of draws.
+
+    Raises:
+        ValueError: for scores of another shape, without entries or not finite, and for an unknown
+            ``resample`` or one that the scores do not allow.
+    """
+    return _estimate(statistic, [_matrix("scores", scores)], resample, seed, resamples)
+
+
+def paired_difference(
+    a: ArrayLike, b: ArrayLike, seed: int = 0, resamples: int = RESAMPLES
+) -> Estimate:
+    """Mean score of ``a`` minus that of ``b`` on the same arenas, with its bootstrap interval.
+
+    Arenas are drawn for both together, so that what makes an arena hard for both cancels; seeds
+    for each apart.
+
+    Args:
+        a: [S, A] or [A].
+        b: [S', A] or [A]; column j is the arena of column j of ``a``.
+        seed: of the draws.
+        resamples: number of draws.
+
+    Raises:
+        ValueError: as ``interval``, and for different numbers of arenas.
+    """
+    pair = _pair(a, b)
+    return _estimate(lambda x, y: float(x.mean() - y.mean()), pair, "crossed", seed, resamples)
+
+
+def probability_of_improvement(
+    x: ArrayLike,
+    y: ArrayLike,
+    resample: Resample = "crossed",
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> Estimate:
+    """Probability that ``x`` scores more than ``y`` on an arena, ties counted one half.
+
+    The mean over arenas of the Mann-Whitney statistic over pairs of seeds, divided by their
+    number. Where less is better, such as with steps, pass the two in the other order.
+
+    Args:
+        x: [S, A] or [A].
+        y: [S', A] or [A]; column j is the arena of column j of ``x``.
+        resample: what is drawn, for x and y independently but for whole arenas.
+        seed: of the draws.
+        resamples: number of draws.
+
+    Raises:
+        ValueError: as ``interval``, and for different numbers of arenas.
+    """
+    return _estimate(_superiority, _pair(x, y), resample, seed, resamples)
+
+
+def curve_interval(curves: ArrayLike, seed: int = 0, resamples: int = RESAMPLES) -> Band:
+    """The mean of curves [S, X] of S seeds with its bootstrap interval at every point.
+
+    Raises:
+        ValueError: for curves of another shape, or not finite.
+    """
+    values = _matrix("curves", curves)
+    rows = len(values)
+    drawn = np.random.default_rng(seed).integers(rows, size=(resamples, rows))
+    weights = (drawn[:, :, None] == np.arange(rows)).mean(1)  # share of each seed in each draw
+    return Band(values.mean(0), *np.quantile(weights @ values, _TAILS, axis=0))
+
+
+def middle_half(curves: ArrayLike) -> Band:
+    """The mean of curves [B, X], between their quartiles at every point."""
+    values = _matrix("curves", curves)
+    return Band(values.mean(0), *np.quantile(values, (0.25, 0.75), axis=0))
+
+
+_TAILS = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
+
+
+def _estimate(
+    statistic: Callable[..., float],
+    samples: list[Array],
+    resample: Resample,
+    seed: int,
+    resamples: int,
+) -> Estimate:
+    """A statistic of arrays over the same arenas, and the quantiles of it over draws of them."""
+    if resample not in get_args(Resample):
+        raise ValueError(f"resample={resample!r} is not allowed: use one of {get_args(Resample)}")
+    if resample == "stratified" and min(map(len, samples)) < 2:
+        raise ValueError("resample='stratified' is not allowed: it takes at least 2 seeds")
+    generator = np.random.default_rng(seed)
+    arenas = samples[0].shape[1]
+    draws = np.empty(resamples)
+    for i in range(resamples):
+        if resample == "stratified":
+            drawn = [
+                s[generator.integers(len(s), size=s.shape), np.arange(arenas)] for s in samples
+            ]
+        else:
+            columns = generator.integers(arenas, size=arenas)
+            drawn = [s[generator.integers(len(s), size=(len(s), 1)), columns] for s in samples]
+        draws[i] = statistic(*drawn)
+    low, high = np.quantile(draws, _TAILS)
+    return Estimate(statistic(*samples), float(low), float(high))
+
+
+def _superiority(x: Array, y: Array) -> float:
+    larger = x[:, None] > y
+    return float(larger.mean() + (x[:, None] == y).mean() / 2)
+
+
+def _pair(a: ArrayLike, b: ArrayLike) -> list[Array]:
+    first, second = _matrix("the first scores", a), _matrix("the second scores", b)
+    if first.shape[1] != second.shape[1]:
+        raise ValueError(
+            f"scores of {first.shape[1]} and of {second.shape[1]} arenas cannot be compared: "
+            "column j of both must be the same arena"
+        )
+    return [first, second]
+
+
+def _matrix(name: str, values: ArrayLike) -> Array:
+    array = np.atleast_2d(np.asarray(values, np.float64))
+    if array.ndim != 2 or array.size == 0:
+        raise ValueError(f"{name} of shape {array.shape} are not allowed: they must be [S, A]")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} are not allowed: {(~np.isfinite(array)).sum()} are not finite")
+    return array
