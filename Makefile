@@ -30,6 +30,8 @@ lint: $(VENV)/installed-dev
 speed: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.frontier
 	$(BIN)/python -m benchmarks.environment
+	$(BIN)/python -m benchmarks.training
+	$(BIN)/python -m benchmarks.curves
 	$(BIN)/python -m benchmarks.memory
 
 leaderboard: $(VENV)/installed

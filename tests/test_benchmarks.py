@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from benchmarks import environment, frontier
+from benchmarks import curves, environment, frontier, training
 from benchmarks.baselines import astar_table, bfs_table
+from marl_explore.config import TrainConfig
 from marl_explore.core.frontier import feature_table
 
 
@@ -32,3 +33,35 @@ def test_the_environment_benchmark_runs():
     rates = environment.measure(num_envs=2, repeats=1)
     assert {"ours, auto", "ours, torch", "collector", "PettingZoo-style Python"} <= set(rates)
     assert all(rate > 0 for rate in rates.values())
+
+
+def test_the_cost_curves_are_measured_and_drawn(tmp_path):
+    points = {4: (2, 2, 4), 6: (2, 2, 6)}
+    measured = {"side of the arena (cells)": curves.measure(points, repeats=1)}
+    measured["robots"] = measured["side of the arena (cells)"]
+    curves.draw(measured, tmp_path / "cost.png")
+    assert (tmp_path / "cost.png").stat().st_size > 5000
+    assert all(cost > 0 for cost in measured["robots"]["torch"].values())
+
+
+def test_the_training_benchmark_runs():
+    seconds = training.measure("paper-mlp-case2", repeats=2, hidden=(8, 4), rollout_steps=5)
+    parts = seconds["collection"] + seconds["update"]
+    assert seconds["bare products"] > 0
+    assert 0.5 < parts / seconds["iteration"] < 2
+
+
+def test_the_bare_products_are_those_of_an_iteration():
+    """Against the numbers of multiplications worked out by hand for a small case."""
+    config = TrainConfig(
+        hidden=(3, 2), num_envs=2, rollout_steps=2, episode_steps=2, episodes=2, ppo_epochs=1
+    )
+    actor = 37 * 3 + 3 * 2 + 2 * 10
+    critic = 148 * 3 + 3 * 2 + 2 * 1
+    batch, robots = 4, 4
+    acting = robots * batch * actor
+    values, factors = 2 * batch * critic, (robots - 1) * batch * actor
+    actors = robots * batch * (3 * actor - 37 * 3)  # no gradient of the observation
+    critics = batch * (3 * critic - 148 * 3)
+    expected = acting + values + factors + actors + critics
+    assert sum(n * k * m for n, k, m in training.iteration_products(config)) == expected

@@ -98,3 +98,11 @@ def with_robots(obstacles: Tensor, position: Tensor) -> Tensor:
     """Obstacles bool [*B, H, W] and the cells of the robots [*B, N, 2] as one grid."""
     cell = flat_cell(position, obstacles.shape[-1])
     return obstacles.flatten(-2).scatter(-1, cell, True).view(obstacles.shape)
+
+
+def straight_distances(position: Tensor, height: int, width: int) -> Tensor:
+    """Moves on an empty grid from positions int64 [*B, 2] to all cells, float32 [*B, H, W]."""
+    row = torch.arange(height, device=position.device).unsqueeze(-1)
+    column = torch.arange(width, device=position.device)
+    rows = (position[..., 0, None, None] - row).abs()
+    return torch.maximum(rows, (position[..., 1, None, None] - column).abs()).float()

@@ -41,7 +41,9 @@ PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
         _timer(config, 5), config.communication_cells, hungarian
     ),
     "hedac": lambda config: HEDAC(_timer(config, 5), config),
-    "rendezvous": lambda config: Rendezvous(config, SharedClock(12, 3, config.communication_cells)),
+    "rendezvous": lambda config: Rendezvous(
+        config, SharedClock(14, 3, config.communication_cells, early=(8,)), memory_steps=3
+    ),
     "central": Central,
     "clairvoyant": Clairvoyant,
 }

@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.core.frontier import frontier_mask, paths
-from marl_explore.core.grid import OCCUPIED, STAY, flat_cell
+from marl_explore.core.grid import OCCUPIED, STAY, flat_cell, straight_distances
 from marl_explore.core.radio import in_range
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import CommunicationRule
@@ -120,7 +120,7 @@ class FrontierAssignment(Planner):
         others = position.unsqueeze(1).expand(-1, robots, -1, -1)
         _, distance = paths(views, others)
         distance = distance.flatten(-2).float()
-        detour = _straight(others, height, width).flatten(-2) + DETOUR
+        detour = straight_distances(others, height, width).flatten(-2) + DETOUR
         distance = torch.where(distance > 0, distance, detour)
         rows = torch.arange(robots, device=grid.device)
         distance[:, rows, rows] = own.flatten(-2).float()
@@ -148,16 +148,8 @@ def _with_neighbors(grid: Tensor, position: Tensor) -> Tensor:
     return grid.flatten(-2).scatter(-1, cell, OCCUPIED).view(grid.shape)
 
 
-def _straight(position: Tensor, height: int, width: int) -> Tensor:
-    """Moves on an empty grid from positions [..., 2] to all cells, float32 [..., H, W]."""
-    row = torch.arange(height, device=position.device).unsqueeze(-1)
-    column = torch.arange(width, device=position.device)
-    rows = (position[..., 0, None, None] - row).abs()
-    return torch.maximum(rows, (position[..., 1, None, None] - column).abs()).float()
-
-
 def _apart(cell: Tensor, auction: Auction) -> Tensor:
     """Moves on an empty grid from cells int64 [M] to all cells, float32 [M, C]."""
     width = auction.width
     position = torch.stack((cell // width, cell % width), -1)
-    return _straight(position, auction.frontier.shape[1] // width, width).flatten(-2)
+    return straight_distances(position, auction.frontier.shape[1] // width, width).flatten(-2)

@@ -45,16 +45,26 @@ class PairTimer:
 
 @dataclass(frozen=True)
 class SharedClock:
-    """All robots with another one in range communicate at set times, by a clock they share."""
+    """All robots with another one in range communicate at set times, by a clock they share.
+
+    Args:
+        start: first of the regular times (steps).
+        period: steps from one to the next.
+        range_cells: communication range (cells).
+        early: further times before them (steps).
+    """
 
     start: int
     period: int
     range_cells: float
+    early: tuple[int, ...] = ()
 
     def __call__(self, tensordict: TensorDictBase) -> Tensor:
         """Who communicates, bool [*B, N]."""
-        after = tensordict.get("step_count") - self.start
-        due = (after >= 0) & (after % self.period == 0)
+        now = tensordict.get("step_count")
+        due = (now >= self.start) & ((now - self.start) % self.period == 0)
+        for time in self.early:
+            due = due | (now == time)
         return due & others_in_range(tensordict, self.range_cells).any(-1)
 
 

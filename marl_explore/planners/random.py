@@ -13,6 +13,7 @@ class RandomWalk(TensorDictModuleBase):
 
     in_keys: list[NestedKey] = [("agents", "action_mask")]  # noqa: RUF012
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
+    sees: str = "which actions are allowed"
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""

@@ -8,12 +8,22 @@ from torch import Tensor
 
 from marl_explore.config import ArenaConfig
 from marl_explore.core.frontier import frontier_mask, nearest_frontier, paths
-from marl_explore.core.grid import COMMUNICATE, OCCUPIED, STAY, UNKNOWN, flat_cell
+from marl_explore.core.grid import (
+    COMMUNICATE,
+    OCCUPIED,
+    STAY,
+    UNKNOWN,
+    flat_cell,
+    straight_distances,
+)
 from marl_explore.core.radio import in_range
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import CommunicationRule
 from marl_explore.planners.sightings import Sightings
+
+WINDOW = 24
+"""Sides of the part of a large arena that a robot plans on (cells)."""
 
 
 class Rendezvous(Planner):
@@ -70,9 +80,15 @@ class Rendezvous(Planner):
         seen.covered = seen.covered & ~forget[..., None, None]
 
         move = self._meet(grid, position, near, seen)
-        rows = left & frontier_mask(grid).flatten(-2).any(-1)
+        explores = left & frontier_mask(grid).flatten(-2).any(-1)
+        nearest, length = nearest_frontier(grid, position)
+        move = torch.where(explores, torch.where(length > 0, nearest, STAY), move)
+        sight = self.search.horizon + self.radius
+        within = straight_distances(position, *grid.shape[-2:]) <= sight
+        rows = explores & (unknown & within).flatten(-2).any(-1)
         if rows.any():
-            move[rows] = self._explore(rows, now, grid, unknown, position, reach, seen)
+            first, fruitful = self._joint_plan(rows, now, grid, unknown, position, seen)
+            move[rows] = torch.where(fruitful, first, move[rows])
         if self.answer:
             move = move.masked_fill((seen.waited & (since >= 2)).any(-1), COMMUNICATE)
         return move
@@ -85,41 +101,63 @@ class Rendezvous(Planner):
         seen.update(now, position, reach, self.radius)
         return seen
 
-    def _explore(
+    def _joint_plan(
         self,
         rows: Tensor,
         now: Tensor,
         grid: Tensor,
         unknown: Tensor,
         position: Tensor,
-        reach: Tensor,
         seen: Sightings,
-    ) -> Tensor:
-        """First moves of the robots in ``rows``, bool [B, N]."""
-        robots = grid.shape[1]
-        me = torch.arange(robots, device=grid.device).expand(len(grid), -1)[rows]
-        lately = now.unsqueeze(-1) - seen.step <= self.memory_steps
-        place = seen.cell[rows]
+    ) -> tuple[Tensor, Tensor]:
+        """First moves of the robots in ``rows`` [B, N], and whether their plans see anything."""
+        me = torch.arange(grid.shape[1], device=grid.device).expand(len(grid), -1)[rows]
         mine = torch.arange(len(me), device=grid.device)
-        place[mine, me] = position[rows]
-        present = lately[rows]
-        present[mine, me] = True
+        place, present = seen.cell[rows], (now.unsqueeze(-1) - seen.step <= self.memory_steps)[rows]
+        place[mine, me], present[mine, me] = position[rows], True
+        window = _Window(place[mine, me], grid.shape[-2:])
+        place = place - window.corner.unsqueeze(1)
+        inside = ((place >= 0) & (place < torch.tensor(window.size, device=grid.device))).all(-1)
         first, fruitful = self.search.first_moves(
-            unknown[rows], grid[rows] == OCCUPIED, place, present, self.radius
+            window.cut(unknown[rows]),
+            window.cut(grid[rows] == OCCUPIED),
+            torch.where(inside.unsqueeze(-1), place, 0),
+            present & inside,
+            self.radius,
         )
-        nearest, length = nearest_frontier(grid[rows], position[rows])
-        nearest = torch.where(length > 0, nearest, STAY)
-        return torch.where(fruitful, first[mine, me], nearest)
+        return first[mine, me], fruitful
 
     def _meet(self, grid: Tensor, position: Tensor, near: Tensor, seen: Sightings) -> Tensor:
-        """Communicate in range, else walk to whom was seen last, int64 [B, N]."""
+        """Communicate in range, else walk towards whom was seen last, int64 [B, N]."""
         direction, length = paths(grid, position)
         latest = seen.step.argmax(-1)
         index = latest[..., None, None].expand(*latest.shape, 1, 2)
-        target = flat_cell(seen.cell.gather(2, index).squeeze(2), grid.shape[-1]).unsqueeze(-1)
-        known = length.flatten(-2).gather(-1, target).squeeze(-1) > 0
-        toward = direction.flatten(-2).gather(-1, target).squeeze(-1)
-        met = seen.step.amax(-1) >= 0
+        place = seen.cell.gather(2, index).squeeze(2)
+        apart = straight_distances(place, *grid.shape[-2:])
+        # of the cells that a path leads to, the nearest to that place; then the nearest to oneself
+        order = (apart * length[0].numel() + length).masked_fill(length == 0, torch.inf).flatten(-2)
+        cell = order.argmin(-1, keepdim=True)
+        own = flat_cell(position, grid.shape[-1]).unsqueeze(-1)
+        nearer = apart.flatten(-2).gather(-1, cell) < apart.flatten(-2).gather(-1, own)
         complete = ~frontier_mask(grid).flatten(-2).any(-1)
-        move = torch.where(known & met & ~complete, toward, STAY)
+        walks = nearer.squeeze(-1) & (seen.step.amax(-1) >= 0) & ~complete
+        move = torch.where(walks, direction.flatten(-2).gather(-1, cell).squeeze(-1), STAY)
         return move.masked_fill(near, COMMUNICATE)
+
+
+class _Window:
+    """The part of a large arena around each robot that its plans can be about."""
+
+    def __init__(self, center: Tensor, size: torch.Size) -> None:
+        full = torch.tensor(size, device=center.device)
+        self.size = tuple(min(side, WINDOW) for side in size)
+        own = torch.tensor(self.size, device=center.device)
+        self.corner = torch.minimum((center - own // 2).clamp_min(0), full - own)
+
+    def cut(self, grids: Tensor) -> Tensor:
+        """The windows [M, h, w] of grids [M, H, W]."""
+        height, width = self.size
+        row = self.corner[:, :1] + torch.arange(height, device=grids.device)
+        column = self.corner[:, 1:] + torch.arange(width, device=grids.device)
+        batch = torch.arange(len(grids), device=grids.device)[:, None, None]
+        return grids[batch, row.unsqueeze(-1), column.unsqueeze(-2)]

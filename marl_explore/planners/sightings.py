@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import other_robots
+from marl_explore.core.grid import other_robots, straight_distances
 
 NEVER = -1_000_000
 """The step of a sighting that never was."""
@@ -55,14 +55,6 @@ class Sightings:
         self.waited = others & again
         self.cell = torch.where(others.unsqueeze(-1), place, self.cell)
         self.step = torch.where(others, now.unsqueeze(-1), self.step)
-        views = _views(position, radius, *self.covered.shape[-2:])
+        views = (straight_distances(position, *self.covered.shape[-2:]) <= radius).float()
         seen = torch.einsum("bij,bjc->bic", others.float(), views.flatten(-2)) > 0
         self.covered = self.covered | seen.view_as(self.covered)
-
-
-def _views(position: Tensor, radius: int, height: int, width: int) -> Tensor:
-    """1 at the cells in each robot's field of view, float32 [B, N, H, W]."""
-    row = torch.arange(height, device=position.device).unsqueeze(-1)
-    column = torch.arange(width, device=position.device)
-    rows = (position[..., 0, None, None] - row).abs() <= radius
-    return (rows & ((position[..., 1, None, None] - column).abs() <= radius)).float()

@@ -77,8 +77,8 @@ def cells_of(grid):
 
 BOARDS = [
     "....?\n.##.?\n...??",
-    "??...\n?....\n.#..?",
-    "..#??\n.##??\n.....",
+    "...??\n.#...\n.#..?",
+    "..#??\n.##.?\n.....",
 ]
 
 
@@ -96,13 +96,11 @@ def test_one_robot_finds_the_best_of_all_plans(board, positions):
 
 
 @pytest.mark.parametrize("board", BOARDS)
-@pytest.mark.parametrize("positions", [[[0, 0], [0, 1]], [[2, 0], [0, 3]]])
+@pytest.mark.parametrize("positions", [[[0, 0], [0, 1]], [[2, 0], [1, 3]]])
 def test_two_robots_find_the_best_of_all_joint_plans(board, positions):
     search = BeamSearch(width=EVERYTHING, horizon=2)
     grid = map_cells(board)
     unknown, occupied = grid == -1, grid == 1
-    if occupied[tuple(positions[1])]:
-        pytest.fail("a drawn robot stands on an obstacle")
     best = best_first_moves(search, unknown, occupied, positions, 2)
     first, _ = search.first_moves(
         unknown[None], occupied[None], torch.tensor([positions]), torch.ones(1, 2).bool(), 1

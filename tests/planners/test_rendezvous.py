@@ -17,50 +17,46 @@ from tests.planners.situations import knowing, names, on_board
 
 
 def test_robots_exchange_by_the_clock_and_explore_meanwhile():
-    env, td = on_board("0.........\n..........\n.........1", 3, 10, communication_range=10.0)
-    cells = env.config.communication_cells
-    planner = Rendezvous(env.config, SharedClock(4, 3, cells), answer=False)
-    merged = []
+    config = ArenaConfig(height=20, width=20, num_agents=2, communication_range=20.0)
+    env = ExplorationEnv(config, num_envs=4)
+    planner = Rendezvous(config, SharedClock(4, 3, config.communication_cells), answer=False)
+    td, merged = env.reset(), []
     for _ in range(8):
         td = env.step(planner(td))["next"]
-        merged.append(td["agents", "merged"].all().item())
-    assert merged == [False, False, False, False, True, False, False, True]
+        merged.append(td["agents", "merged"].tolist())
+    nobody, all_robots = [[False, False]] * 4, [[True, True]] * 4
+    assert merged == [nobody] * 4 + [all_robots] + [nobody] * 2 + [all_robots]
 
 
 def test_cells_that_others_in_range_have_seen_are_left_to_them():
     """All that robot 0 does not know lies around robot 1, so it communicates."""
-    env, td = on_board("0...1", 1, 5)
+    env, td = on_board("0......1", 1, 8, communication_range=4.0)
     planner = Rendezvous(env.config, never)
-    assert names(planner.plan(knowing(td, "...??", "?...."))) == ["talk", "W"]
+    assert names(planner.plan(knowing(td, "......??", "????...."))) == ["talk", "W"]
 
 
 def test_with_others_cells_left_a_robot_walks_to_whom_it_saw_last():
     env, td = on_board("0.........1", 1, 11, communication_range=2.5)  # 5 cells
     planner = Rendezvous(env.config, never, patience_steps=3)
-    near = td.clone()
-    near["agents", "position"] = torch.tensor([[[0, 4], [0, 9]]])
-    known = "........???"
-    planner.plan(knowing(near, known, "???????...."))
-    later = td.clone()
-    later["step_count"] += 1
-    later["agents", "position"] = torch.tensor([[[0, 3], [0, 10]]])
-    wanted = []
-    for _ in range(4):
-        wanted.append(names(planner.plan(knowing(later, known, "???????....")))[0])
-        later["step_count"] += 1
-    assert wanted == ["E", "E", "E", "E"]
-    # after some steps of patience it looks at those cells itself, as its own plan
-    assert planner._sightings.covered[0, 0].sum() == 0
+    known, other = "........???", "???????...."
+    td["agents", "position"] = torch.tensor([[[0, 4], [0, 9]]])
+    assert names(planner.plan(knowing(td, known, other)))[0] == "talk"
+    td["agents", "position"] = torch.tensor([[[0, 3], [0, 10]]])
+    for step in range(1, 5):
+        td["step_count"] = torch.tensor([[step]])
+        assert names(planner.plan(knowing(td, known, other)))[0] == "E"
+        # after three steps without a meeting it will look at those cells itself
+        assert planner._sightings.covered[0, 0].any() == (step < 3)
 
 
 def test_memory_starts_anew_with_an_episode():
-    env, td = on_board("0...1", 1, 5)
+    env, td = on_board("0....1", 1, 6, communication_range=1.0)  # 2 cells
     planner = Rendezvous(env.config, never)
-    planner.plan(td)
+    near = td.clone()
+    near["agents", "position"] = torch.tensor([[[0, 0], [0, 2]]])
+    planner.plan(near)
     assert planner._sightings.covered.any()
-    apart = td.clone()
-    apart["agents", "position"] = torch.tensor([[[0, 0], [0, 100]]])
-    planner.plan(apart)
+    planner.plan(td)
     assert not planner._sightings.covered.any()
     assert (planner._sightings.step < 0).all()
 
