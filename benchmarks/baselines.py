@@ -99,10 +99,15 @@ class PythonExploration:
 
     def __init__(self, seed: int, side: int = 12, robots: int = 4, obstacles: int = 14) -> None:
         self.random = random.Random(seed)
+        self.side, self.robots, self.num_obstacles = side, robots, obstacles
+        self.reset()
+
+    def reset(self):
+        """Another arena, and maps that know nothing but what is in sight."""
+        side, robots = self.side, self.robots
         cells = [(r, c) for r in range(side) for c in range(side)]
-        drawn = self.random.sample(cells, obstacles + robots)
-        self.obstacles, self.positions = set(drawn[:obstacles]), drawn[obstacles:]
-        self.side = side
+        drawn = self.random.sample(cells, self.num_obstacles + robots)
+        self.obstacles, self.positions = set(drawn[robots:]), drawn[:robots]
         self.maps = [[[-1] * side for _ in range(side)] for _ in range(robots)]
         self.sense()
 

@@ -5,6 +5,9 @@ python -m benchmarks.environment
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import cycle
+
 import torch
 
 from benchmarks.baselines import PythonExploration
@@ -14,24 +17,34 @@ from marl_explore.collect import make_collector
 from marl_explore.planners import PLANNERS
 
 ROBOTS = 4
+EPISODE = 200
+"""Steps after which new episodes begin, as in training."""
 
 
 def our_step(num_envs: int, backend: str = "auto"):
-    """One step of all arenas with random allowed actions, from episodes under way."""
+    """One step of all arenas with random actions drawn before."""
     env = make_env(ArenaConfig(num_agents=ROBOTS), num_envs, max_steps=10**9, backend=backend)
-    holder = [env.rollout(20)[:, -1]["next"]]
+    actions = [env.full_action_spec.rand() for _ in range(EPISODE)]
 
-    def step():
-        holder[0] = env.step(env.rand_action(holder[0]))["next"]
+    def step(number: int):
+        if number == 0:
+            env.reset()
+        env.step(actions[number].clone(recurse=False))
 
-    return step
+    return in_episodes(step)
+
+
+def in_episodes(step: Callable[[int], object]) -> Callable[[], object]:
+    """Calls with 0, 1, ... and again from 0: maps must not be complete for most of the time."""
+    numbers = cycle(range(EPISODE))
+    return lambda: step(next(numbers))
 
 
 def collector_step(num_envs: int, steps: int):
     """A batch of a TorchRL collector with the random walk as its policy."""
     config = ArenaConfig(num_agents=ROBOTS)
     collector = make_collector(
-        lambda: make_env(config, num_envs, max_steps=10**9),
+        lambda: make_env(config, num_envs, max_steps=EPISODE),
         PLANNERS["random"](config),
         frames_per_batch=num_envs * steps,
         total_frames=10**12,
@@ -55,9 +68,13 @@ def vmas_step(num_envs: int):
 def python_step():
     """One step of the same task as plain Python with one A* per frontier, a single arena."""
     env = PythonExploration(seed=0)
-    for _ in range(20):
-        env.step()
-    return env.step
+
+    def step(number: int):
+        if number == 0:
+            env.reset()
+        return env.step()
+
+    return in_episodes(step)
 
 
 def measure(num_envs: int = 512, repeats: int = 30) -> dict[str, float]:

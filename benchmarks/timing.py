@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable
 
+TURN_SECONDS = 0.1
+"""Least length of a turn: who follows another would else be timed on cold caches."""
+
 
 def medians(contenders: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median seconds of one call of each, after one call that does not count."""
-    for function in contenders.values():
-        function()
+    """Median seconds of one call of each; a turn is as many calls as take TURN_SECONDS."""
+    calls = {name: _calls(function) for name, function in contenders.items()}
     times: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in range(repeats):
         for name, function in contenders.items():
-            start = time.perf_counter()
-            function()
-            times[name].append(time.perf_counter() - start)
+            times[name].append(_seconds(function, calls[name]) / calls[name])
     return {name: statistics.median(values) for name, values in times.items()}
+
+
+def _calls(function: Callable[[], object]) -> int:
+    """How many calls make up a turn; the first one does not count."""
+    function()
+    return max(1, math.ceil(TURN_SECONDS / _seconds(function, 1)))
+
+
+def _seconds(function: Callable[[], object], calls: int) -> float:
+    start = time.perf_counter()
+    for _ in range(calls):
+        function()
+    return time.perf_counter() - start

@@ -225,11 +225,9 @@ class ExplorationEnv(EnvBase):
             return torch.zeros(self.batch_size, dtype=torch.bool, device=self.device)
         if self.terminate_at_coverage == 1:
             return record.complete
-        known = mapping.known_mask(state.map)
-        largest = mapping.known_targets(known, state.target).amax(-1)
-        return largest >= mapping.cells_of_share(
-            self.terminate_at_coverage, world.num_targets(state)
-        )
+        targets = world.num_targets(state.target)
+        largest = targets - state.missing.amin(-1)
+        return largest >= mapping.cells_of_share(self.terminate_at_coverage, targets)
 
     def _observe(self, **root: Tensor) -> TensorDict:
         """All observation entries and further ones of the root, in one nested TensorDict."""

@@ -121,6 +121,12 @@ def watch(
         return list(play(policy, env, steps, until_done=True))
 
 
+def _measured(observation: TensorDictBase, shared: bool) -> Tensor:
+    """The robots' maps [B, N, H, W]; of a reference that shares them, their union for each."""
+    grid = observation["agents", "map"]
+    return grid.amax(-3, keepdim=True).expand_as(grid) if shared else grid
+
+
 def record(
     policy: Actor,
     config: ArenaConfig | None,
@@ -153,12 +159,13 @@ def record(
         episode = play(policy, env, steps)
         start = next(episode)
         target = target_cells(start["obstacles"], start["agents", "position"])
-        maps = [snapshot(start["agents", "map"], target)]
+        shared = getattr(policy, "shares_maps", False)
+        maps = [snapshot(_measured(start, shared), target)]
         events = {key: [start["agents", key]] for key in EVENTS}
         actions = []
         for observation in episode:
             agents = observation["agents"]
-            maps.append(snapshot(agents["map"], target))
+            maps.append(snapshot(_measured(observation, shared), target))
             actions.append(agents["action"])
             for key, values in events.items():
                 values.append(agents[key])

@@ -115,5 +115,5 @@ def test_results_are_written_as_text_json_and_csv(tmp_path):
 
 
 def test_an_unknown_policy_is_refused_with_what_there_is():
-    with pytest.raises(ValueError, match=r"no policy 'nobody'.*planners: \['nearest'"):
+    with pytest.raises(ValueError, match=r"no policy 'nobody'.*planners: \['central'"):
         find_policy("nobody", SMALL)

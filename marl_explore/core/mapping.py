@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,16 +32,34 @@ def field_of_view(view: Tensor) -> Tensor:
     return view.clamp_max(1).float()
 
 
-def sense(grid: Tensor, view: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-    """Maps with what each robot sees around it written in, and how many cells were new.
+class Sensed(NamedTuple):
+    """Maps after sensing, and what was new."""
+
+    map: Tensor
+    """int8 [*B, N, H, W], a new tensor."""
+    cell: Tensor
+    """Seen cells of the flattened arena, int64 [*B, N, (2k + 1)^2]."""
+    fresh: Tensor
+    """1 where such a cell was unknown, else 0, int8."""
+
+    @property
+    def discovered(self) -> Tensor:
+        """Cells that were new to each robot's map, int64 [*B, N]."""
+        return self.fresh.sum(-1)
+
+    def discovered_of(self, target: Tensor) -> Tensor:
+        """New cells among those of a mask bool [*B, H, W], int64 [*B, N]."""
+        chosen = target.flatten(-2).gather(-1, self.cell.flatten(-2)).view(self.cell.shape)
+        return (self.fresh * chosen).sum(-1)
+
+
+def sense(grid: Tensor, view: Tensor, position: Tensor) -> Sensed:
+    """Maps with what each robot sees around it written in.
 
     Args:
         grid: maps, int8 [*B, N, H, W].
         view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
         position: int64 [*B, N, 2].
-
-    Returns:
-        New maps int8 [*B, N, H, W], and discovered cells int64 [*B, N].
     """
     width = grid.shape[-1]
     view = view.flatten(-2)
@@ -50,9 +69,9 @@ def sense(grid: Tensor, view: Tensor, position: Tensor) -> tuple[Tensor, Tensor]
     steps = square_steps(math.isqrt(view.shape[-1]) // 2, width, view.device)
     cell = own + steps * seen
     known = grid.flatten(-2)
-    discovered = (known.gather(-1, cell) * seen).clamp_max_(0).sum(-1).neg_()
+    fresh = (known.gather(-1, cell) * seen).clamp_max_(0).neg_()
     wall = (view == WALL).to(grid.dtype)
-    return known.scatter(-1, cell, wall).view(grid.shape), discovered
+    return Sensed(known.scatter(-1, cell, wall).view(grid.shape), cell, fresh)
 
 
 def closed_diagonals(wall: Tensor) -> Tensor:

@@ -59,6 +59,8 @@ class WorldState(NamedTuple):
     """Allowed actions, bool [*B, N, 10]; follows from obstacles and positions."""
     known: Tensor
     """Number of known cells of each map, int64 [*B, N]; follows from the maps."""
+    missing: Tensor
+    """Number of target cells that each map does not know, int64 [*B, N]; follows from the maps."""
 
 
 def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldState:
@@ -76,14 +78,14 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
     )
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
-    grid, discovered = sense(unknown, view, position)
+    sensed = sense(unknown, view, position)
     others = other_robots(robots, position.device)
     return resume(
         config,
         obstacles,
         position,
-        grid,
-        unshared=discovered.unsqueeze(-1) * others,
+        sensed.map,
+        unshared=sensed.discovered.unsqueeze(-1) * others,
         steps_since_merge=(NEVER * others).expand(*batch, robots, robots).clone(),
         step_count=position.new_zeros(*batch, 1),
     )
@@ -101,10 +103,11 @@ def resume(
     """State of an episode under way, from all that does not follow from something else."""
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
+    known, target = known_mask(map), target_cells(obstacles, position)
     return WorldState(
         obstacles=obstacles,
         walls=walls,
-        target=target_cells(obstacles, position),
+        target=target,
         map=map,
         position=position,
         unshared=unshared,
@@ -112,7 +115,8 @@ def resume(
         step_count=step_count,
         view=view,
         action_mask=action_mask(open_moves(view), in_range(position, config.communication_cells)),
-        known=known_cells(known_mask(map)),
+        known=known_cells(known),
+        missing=num_targets(target).unsqueeze(-1) - known_targets(known, target),
     )
 
 
@@ -123,8 +127,8 @@ def advance(
 
     Args:
         config: sizes and ranges.
-        state: before the step; it is not changed.
-        action: int64 [*B, N], any of the ten actions, allowed or not.
+        state: before the step, of one batch dimension [B]; it is not changed.
+        action: int64 [B, N], any of the ten actions, allowed or not.
 
     Returns:
         The state after the step, and the record of what happened.
@@ -133,39 +137,75 @@ def advance(
     dangerous = dangerous_moves(visible, state.position, action)
     position = move(state.position, action, dangerous)
     view = surroundings(state.walls, position, config.fov_radius, config.occlusion)
-    sensed, discovered = sense(state.map, view, position)
+    sensed = sense(state.map, view, position)
     reach = in_range(position, config.communication_cells)
     network = networks(reach, action == COMMUNICATE)
-    knowledge = merge(known_mask(sensed), network)
+    merged = _merged(sensed.map, state, network)
 
-    known = known_cells(knowledge)
-    targets = num_targets(state).unsqueeze(-1)
+    discovered = sensed.discovered
+    known = state.known + discovered + merged.received
+    missing = state.missing - sensed.discovered_of(state.target) - merged.received_targets
     others = other_robots(action.shape[-1], action.device)
     unshared = state.unshared + discovered.unsqueeze(-1) * others
-    waited = (state.steps_since_merge + others).clamp_max(NEVER)
+    waited = (state.steps_since_merge + others).clamp_max_(NEVER)
     after = state._replace(
-        map=draw(knowledge, state.obstacles),
+        map=merged.map,
         position=position,
         unshared=unshared.masked_fill(network, 0),
-        steps_since_merge=waited.masked_fill(network, 0),
+        steps_since_merge=waited.masked_fill_(network, 0),
         step_count=state.step_count + 1,
         view=view,
         action_mask=action_mask(open_moves(view), reach),
         known=known,
+        missing=missing,
     )
     record = StepRecord(
         action=action,
         dangerous=dangerous,
         network=network,
         discovered=discovered,
-        received=known - state.known - discovered,
+        received=merged.received,
         known=known,
         unshared=unshared,
-        complete=(known_targets(knowledge, state.target) == targets).any(-1),
+        complete=(missing == 0).any(-1),
         num_cells=config.num_cells,
         max_discovery=config.max_discovery,
     )
     return after, record
+
+
+class _Merged(NamedTuple):
+    map: Tensor
+    received: Tensor
+    received_targets: Tensor
+
+
+def _merged(grid: Tensor, state: WorldState, network: Tensor) -> _Merged:
+    """Maps [B, N, H, W] after their networks merged, written in place, and what that added."""
+    received = torch.zeros_like(state.known)
+    received_targets = torch.zeros_like(received)
+    rows = _arenas_to_merge(network)
+    obstacles, target = state.obstacles[rows], state.target[rows]
+    before = known_mask(grid[rows])
+    after = merge(before, network[rows])
+    grid.index_copy_(0, rows, draw(after, obstacles))
+    added = after - before
+    return _Merged(
+        map=grid,
+        received=received.index_copy_(0, rows, known_cells(added)),
+        received_targets=received_targets.index_copy_(0, rows, known_targets(added, target)),
+    )
+
+
+def _arenas_to_merge(network: Tensor) -> Tensor:
+    """Indices of the arenas to look at, int64 [R].
+
+    On the CPU those with a network, in most steps few. Elsewhere all: to ask which would halt the
+    device for longer than the work takes.
+    """
+    if network.device.type == "cpu":
+        return network.flatten(1).any(-1).nonzero().squeeze(-1)
+    return torch.arange(len(network), device=network.device)
 
 
 def check_starts(obstacles: Tensor, position: Tensor) -> None:
@@ -217,6 +257,6 @@ def check_maps(obstacles: Tensor, position: Tensor, grid: Tensor) -> None:
             )
 
 
-def num_targets(state: WorldState) -> Tensor:
-    """Number of cells to be mapped, int64 [*B]."""
-    return state.target.flatten(-2).sum(-1)
+def num_targets(target: Tensor) -> Tensor:
+    """Number of cells to be mapped, int64 [*B], of a mask bool [*B, H, W]."""
+    return target.flatten(-2).sum(-1)

@@ -57,7 +57,8 @@ MEANINGS = {
     "overlap": "own discoveries of all robots / cells of the union - 1",
     "to best planner": "steps to 100 % minus those of the fastest planner that is no reference, on "
     "the same arenas; less than 0 is faster",
-    "below the line": "references, which may see what no robot can",
+    "below the line": "references, which may see what no robot can; what they share costs nothing, "
+    "and the union counts as the map of each robot",
 }
 """What the columns say."""
 

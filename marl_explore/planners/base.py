@@ -45,6 +45,8 @@ class Planner(TensorDictModuleBase):
     """What a robot decides by."""
     reference: bool = False
     """Whether it uses what no robot can know: a yardstick, and no contender."""
+    shares_maps: bool = False
+    """Whether all maps count as shared at no cost when it is measured."""
 
     def __init__(self, communicate: CommunicationRule) -> None:
         super().__init__()

@@ -18,7 +18,7 @@ from marl_explore.planners.communication import never
 class Central(Planner):
     """One planner for all robots on the union of their maps, shared at no cost.
 
-    Its robots never communicate, so what counts is when the merged map is complete.
+    Its robots never communicate; evaluation takes the union for the map of each of them.
 
     Args:
         config: the arena.
@@ -27,6 +27,7 @@ class Central(Planner):
 
     sees = "the union of all maps, all positions"
     reference = True
+    shares_maps = True
 
     def __init__(self, config: ArenaConfig, search: BeamSearch | None = None) -> None:
         super().__init__(never)

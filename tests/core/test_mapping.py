@@ -38,8 +38,10 @@ def sensed(board, radius=1, occlusion=False):
     """The maps of all robots after sensing once."""
     obstacles, position = arena(board)
     unknown = torch.full((len(position), *obstacles.shape), UNKNOWN, dtype=torch.int8)
-    grid, discovered = sense(unknown, around(obstacles, position, radius, occlusion), position)
-    assert discovered.tolist() == known_cells(known_mask(grid)).tolist()
+    grid, cell, fresh = sense(unknown, around(obstacles, position, radius, occlusion), position)
+    assert fresh.sum(-1).tolist() == known_cells(known_mask(grid)).tolist()
+    marked = torch.zeros_like(grid).flatten(-2).scatter_add_(-1, cell, fresh).view(grid.shape)
+    assert marked.equal((grid != UNKNOWN).to(torch.int8))  # every new cell once
     return grid
 
 
@@ -171,9 +173,11 @@ def test_a_wider_sensor_writes_a_wider_square_cut_at_the_border():
 def test_sensing_keeps_what_was_known():
     obstacles, position = arena("0....")
     before = map_cells("???.?").unsqueeze(0)
-    grid, discovered = sense(before, around(obstacles, position), position)
-    assert grid.equal(map_cells("..?.?").unsqueeze(0))
-    assert discovered.tolist() == [2]
+    after = sense(before, around(obstacles, position), position)
+    assert after.map.equal(map_cells("..?.?").unsqueeze(0))
+    assert after.discovered.tolist() == [2]
+    target = torch.tensor([[True, False, True, True, True]])
+    assert after.discovered_of(target).tolist() == [1]
     assert before.equal(map_cells("???.?").unsqueeze(0))
 
 
@@ -194,9 +198,9 @@ def test_a_hidden_cell_stays_unknown_in_the_map():
 def test_hiding_does_not_erase_what_was_known():
     obstacles, position = arena(".#\n#0")
     before = map_cells(".?\n??").unsqueeze(0)
-    grid, discovered = sense(before, around(obstacles, position, occlusion=True), position)
-    assert grid.equal(map_cells(".#\n#.").unsqueeze(0))
-    assert discovered.tolist() == [3]
+    after = sense(before, around(obstacles, position, occlusion=True), position)
+    assert after.map.equal(map_cells(".#\n#.").unsqueeze(0))
+    assert after.discovered.tolist() == [3]
 
 
 # ---------------------------------------------------------------- merging

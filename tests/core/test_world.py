@@ -38,7 +38,9 @@ def named(name):
 
 
 def complete_maps(state):
-    return known_targets(known_mask(state.map), state.target) == num_targets(state).unsqueeze(-1)
+    return known_targets(known_mask(state.map), state.target) == num_targets(
+        state.target
+    ).unsqueeze(-1)
 
 
 # ---------------------------------------------------------------- against the oracle
@@ -59,7 +61,7 @@ def observed(config, state):
         "field_of_view": field_of_view(state.view),
         "known_cells": known_cells(known_mask(state.map)),
         "target": state.target,
-        "num_targets": num_targets(state),
+        "num_targets": num_targets(state.target),
         "known_targets": known_targets(known_mask(state.map), state.target),
         "complete": complete_maps(state),
     }
