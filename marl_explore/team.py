@@ -14,7 +14,6 @@ from tensordict.nn import (
     TensorDictModuleBase,
 )
 from torch import Tensor, nn
-from torch.distributions import Categorical
 from torchrl.envs import ExplorationType
 from torchrl.envs.utils import exploration_type
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
@@ -77,11 +76,13 @@ class TeamActor(TensorDictModuleBase):
         """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
         logits = self.stacked(*(tensordict.get(key) for key in OBSERVATION_KEYS))
         logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
-        policy = Categorical(logits=logits, validate_args=False)
+        log_probs = logits.log_softmax(-1)
         likeliest = exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE)
-        action = policy.mode if likeliest else policy.sample()
+        # the index of the largest p / e, e exponential, has the probabilities p
+        race = log_probs if likeliest else log_probs.exp() / torch.empty_like(logits).exponential_()
+        action = race.argmax(-1)
         tensordict.set(ACTION, action)
-        return tensordict.set(LOG_PROB, policy.log_prob(action))
+        return tensordict.set(LOG_PROB, log_probs.gather(-1, action.unsqueeze(-1)).squeeze(-1))
 
 
 def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -14,7 +13,7 @@ from marl_explore.core.grid import (
     UNSEEN,
     WALL,
     flat_cell,
-    square_steps,
+    squares,
     with_robots,
 )
 from marl_explore.core.wavefront import batch_last, flood, mask
@@ -53,21 +52,23 @@ class Sensed(NamedTuple):
         return (self.fresh * chosen).sum(-1)
 
 
-def sense(grid: Tensor, view: Tensor, position: Tensor) -> Sensed:
+def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False) -> Sensed:
     """Maps with what each robot sees around it written in.
 
     Args:
         grid: maps, int8 [*B, N, H, W].
         view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
         position: int64 [*B, N, 2].
+        occlusion: whether cells on the grid may be hidden.
     """
-    width = grid.shape[-1]
+    height, width = grid.shape[-2:]
+    own = flat_cell(position, width)
+    cells = squares(height, width, view.shape[-1] // 2, view.device)
     view = view.flatten(-2)
-    own = flat_cell(position, width).unsqueeze(-1)
-    # cells that are not seen are drawn in to the own one, which is known to be free
+    cell = cells.index_select(0, own.flatten()).view(view.shape)
+    if occlusion:
+        cell = torch.where(view == UNSEEN, own.unsqueeze(-1), cell)
     seen = (view != UNSEEN).to(torch.int8)
-    steps = square_steps(math.isqrt(view.shape[-1]) // 2, width, view.device)
-    cell = own + steps * seen
     known = grid.flatten(-2)
     fresh = (known.gather(-1, cell) * seen).clamp_max_(0).neg_()
     wall = (view == WALL).to(grid.dtype)

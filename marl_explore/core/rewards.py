@@ -57,8 +57,8 @@ def case1(step: StepRecord) -> Tensor:
 
 def case2(step: StepRecord) -> Tensor:
     """-10 if dangerous, a share of what a merge brought, else discoveries less idleness (Eq. 3)."""
-    alone = (step.action == COMMUNICATE) & ~step.merged
-    return torch.where(alone, 0.0, _case2(step, idle=step.action == STAY))
+    reward = _case2(step, idle=step.action == STAY)
+    return reward.masked_fill_((step.action == COMMUNICATE) & ~step.merged, 0.0)
 
 
 def case2_literal(step: StepRecord) -> Tensor:
@@ -67,17 +67,18 @@ def case2_literal(step: StepRecord) -> Tensor:
 
 
 def _case2(step: StepRecord, idle: Tensor) -> Tensor:
-    exploring = step.gain / step.max_discovery - idle.float()
-    sharing = _share_bonus(step) * step.gain / step.num_cells
+    gain = step.gain.float()
+    exploring = gain / step.max_discovery - idle.float()
+    sharing = _share_bonus(step) * gain / step.num_cells
     reward = torch.where(step.merged, sharing, exploring)
-    return torch.where(step.dangerous, -10.0, reward)
+    return reward.masked_fill_(step.dangerous, -10.0)
 
 
 def _share_bonus(step: StepRecord) -> Tensor:
     """p_i = 0.8 + mean over the other members j of q_ij / (H W), float [*B, N]."""
     partners = step.network & other_robots(step.network.shape[-1], step.network.device).bool()
     shared = (step.unshared * partners).sum(-1)
-    return 0.8 + shared / (step.num_cells * partners.sum(-1).clamp_min(1))
+    return 0.8 + shared / (step.num_cells * partners.sum(-1).clamp_min_(1))
 
 
 def team(step: StepRecord) -> Tensor:

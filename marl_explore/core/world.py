@@ -78,7 +78,7 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
     )
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
-    sensed = sense(unknown, view, position)
+    sensed = sense(unknown, view, position, config.occlusion)
     others = other_robots(robots, position.device)
     return resume(
         config,
@@ -137,7 +137,7 @@ def advance(
     dangerous = dangerous_moves(visible, state.position, action)
     position = move(state.position, action, dangerous)
     view = surroundings(state.walls, position, config.fov_radius, config.occlusion)
-    sensed = sense(state.map, view, position)
+    sensed = sense(state.map, view, position, config.occlusion)
     reach = in_range(position, config.communication_cells)
     network = networks(reach, action == COMMUNICATE)
     merged = _merged(sensed.map, state, network)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import COMPASS, NUM_DIRECTIONS, STAY, flat_cell
+from marl_explore.core.grid import COMPASS, NUM_DIRECTIONS, STAY, flat_cell, squares
 from marl_explore.core.hashing import combine
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.wavefront import all_distances
@@ -62,17 +62,13 @@ def board(height: int, width: int, radius: int, device: torch.device) -> Board:
         own = torch.arange(len(cells), device=device).unsqueeze(-1)
         return torch.where(inside, flat_cell(place, width), own), inside
 
-    def square(radius: int) -> Tensor:
-        steps = torch.arange(-radius, radius + 1, device=device)
-        return torch.cartesian_prod(steps, steps)
-
     near, inside = shifted(torch.tensor((*COMPASS, (0, 0)), device=device))
     apart = (cells.unsqueeze(0) - cells.unsqueeze(1)).abs().amax(-1)
     return Board(
         near=near,
         inside=inside,
-        seen=shifted(square(radius))[0],
-        around=shifted(square(radius + 1))[0],
+        seen=squares(height, width, radius, device),
+        around=squares(height, width, radius + 1, device),
         distance=apart.clamp_max(_FAR).to(torch.uint8).unsqueeze(0),
         place=flat_cell(cells, 2 * width),
     )

@@ -38,7 +38,9 @@ def sensed(board, radius=1, occlusion=False):
     """The maps of all robots after sensing once."""
     obstacles, position = arena(board)
     unknown = torch.full((len(position), *obstacles.shape), UNKNOWN, dtype=torch.int8)
-    grid, cell, fresh = sense(unknown, around(obstacles, position, radius, occlusion), position)
+    grid, cell, fresh = sense(
+        unknown, around(obstacles, position, radius, occlusion), position, occlusion
+    )
     assert fresh.sum(-1).tolist() == known_cells(known_mask(grid)).tolist()
     marked = torch.zeros_like(grid).flatten(-2).scatter_add_(-1, cell, fresh).view(grid.shape)
     assert marked.equal((grid != UNKNOWN).to(torch.int8))  # every new cell once
@@ -198,7 +200,7 @@ def test_a_hidden_cell_stays_unknown_in_the_map():
 def test_hiding_does_not_erase_what_was_known():
     obstacles, position = arena(".#\n#0")
     before = map_cells(".?\n??").unsqueeze(0)
-    after = sense(before, around(obstacles, position, occlusion=True), position)
+    after = sense(before, around(obstacles, position, occlusion=True), position, True)
     assert after.map.equal(map_cells(".#\n#.").unsqueeze(0))
     assert after.discovered.tolist() == [3]
 
