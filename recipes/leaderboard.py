@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from marl_explore.leaderboard import Cell
 
 
+ARENAS = ((12, 200), (24, 50))
+"""Test arenas up to a size of side x side cells; beyond, planning takes long: 20."""
+
+
 @dataclass(frozen=True)
 class Arguments:
     """Which policies, on which suites."""
@@ -34,7 +38,7 @@ class Arguments:
     suites: tuple[str, ...] = ()
     """Suites of arenas; default: all."""
     num_arenas: int | None = None
-    """Test arenas per suite; default: 200, and 50 where arenas have more than 24 x 24 cells."""
+    """Test arenas per suite; default: 200, above 12 x 12 cells 50, above 24 x 24 cells 20."""
     steps: int | None = None
     """Steps of every episode; default: the suite's."""
     seed: int = 0
@@ -74,7 +78,7 @@ def run(arguments: Arguments) -> None:
     suites = [suite(name) for name in arguments.suites or list_suites()[1:]]
 
     def cell(policy: str, place: Suite) -> Cell:
-        num_arenas = 200 if place.config.num_cells <= 24 * 24 else 50
+        num_arenas = next((n for side, n in ARENAS if place.config.num_cells <= side**2), 20)
         return leaderboard.Cell(
             policy,
             place,

@@ -127,8 +127,8 @@ def advance(
 
     Args:
         config: sizes and ranges.
-        state: before the step, of one batch dimension [B]; it is not changed.
-        action: int64 [B, N], any of the ten actions, allowed or not.
+        state: before the step; it is not changed.
+        action: int64 [*B, N], any of the ten actions, allowed or not.
 
     Returns:
         The state after the step, and the record of what happened.
@@ -181,20 +181,19 @@ class _Merged(NamedTuple):
 
 
 def _merged(grid: Tensor, state: WorldState, network: Tensor) -> _Merged:
-    """Maps [B, N, H, W] after their networks merged, written in place, and what that added."""
-    received = torch.zeros_like(state.known)
-    received_targets = torch.zeros_like(received)
+    """Maps [*B, N, H, W] after their networks merged, written in place, and what that added."""
+    robots, *size = grid.shape[-3:]
+    maps, network = grid.view(-1, robots, *size), network.view(-1, robots, robots)
     rows = _arenas_to_merge(network)
-    obstacles, target = state.obstacles[rows], state.target[rows]
-    before = known_mask(grid[rows])
+    obstacles, target = (part.view(-1, *size)[rows] for part in (state.obstacles, state.target))
+    before = known_mask(maps[rows])
     after = merge(before, network[rows])
-    grid.index_copy_(0, rows, draw(after, obstacles))
+    maps.index_copy_(0, rows, draw(after, obstacles))
     added = after - before
-    return _Merged(
-        map=grid,
-        received=received.index_copy_(0, rows, known_cells(added)),
-        received_targets=received_targets.index_copy_(0, rows, known_targets(added, target)),
-    )
+    received, received_targets = torch.zeros_like(state.known), torch.zeros_like(state.known)
+    received.view(-1, robots).index_copy_(0, rows, known_cells(added))
+    received_targets.view(-1, robots).index_copy_(0, rows, known_targets(added, target))
+    return _Merged(grid, received, received_targets)
 
 
 def _arenas_to_merge(network: Tensor) -> Tensor:

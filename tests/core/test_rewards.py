@@ -39,8 +39,7 @@ def record(names, **changes):
 
 
 def assert_rewards(reward, step, expected):
-    expected = torch.tensor(expected).expand_as(step.action)
-    torch.testing.assert_close(reward(step), expected, rtol=0, atol=1e-6)
+    torch.testing.assert_close(reward(step), torch.tensor(expected), rtol=0, atol=1e-6)
 
 
 MERGE_OF_THREE = {
@@ -155,28 +154,23 @@ def test_team_takes_a_quarter_when_all_are_refused():
 # ---------------------------------------------------------------- from a board to the reward
 
 
-def begin(config, board):
-    """The state of one drawn arena."""
-    return start(config, *(part.unsqueeze(0) for part in arena(board)))
-
-
 def test_the_rewards_of_a_step_on_a_drawn_board():
     """Robots 0 and 1 merge, 2 moves into an obstacle, 3 finds cells, 4 stays."""
     config = ArenaConfig(
         height=3, width=16, num_agents=5, obstacle_density=0, communication_range=1.0
     )
-    state = begin(
+    state = start(
         config,
-        """
+        *arena("""
             ................
             0.1..#2...3...4.
             ................
-        """,
+        """),
     )
     # robot 0 knows the columns 0 and 1, robot 1 the columns 1, 2 and 3: together 12 cells
-    _, step = advance(config, state, actions("talk talk W E stay").unsqueeze(0))
-    assert step.received.tolist() == [[6, 3, 0, 0, 0]]
-    assert step.discovered.tolist() == [[0, 0, 0, 3, 0]]
+    _, step = advance(config, state, actions("talk talk W E stay"))
+    assert step.received.tolist() == [6, 3, 0, 0, 0]
+    assert step.discovered.tolist() == [0, 0, 0, 3, 0]
     # q of each member is its first sensing: 6 and 9 of 48 cells; e_max is 5
     first, second = (0.8 + 6 / 48) * 6 / 48, (0.8 + 9 / 48) * 3 / 48
     assert_rewards(case1, step, [6.0, 3.0, -100.0, 3.0, 0.0])
@@ -188,15 +182,15 @@ def test_the_rewards_of_a_step_on_a_drawn_board():
 
 def test_q_counts_only_since_the_last_merge():
     config = ArenaConfig(height=1, width=12, num_agents=2, obstacle_density=0)
-    state = begin(config, "0....1......")
-    state, _ = advance(config, state, actions("talk talk").unsqueeze(0))
-    state, _ = advance(config, state, actions("E stay").unsqueeze(0))  # robot 0 discovers one cell
-    _, step = advance(config, state, actions("talk talk").unsqueeze(0))
-    assert step.received.tolist() == [[0, 1]]
+    state = start(config, *arena("0....1......"))
+    state, _ = advance(config, state, actions("talk talk"))
+    state, _ = advance(config, state, actions("E stay"))  # robot 0 discovers one cell
+    _, step = advance(config, state, actions("talk talk"))
+    assert step.received.tolist() == [0, 1]
     assert_rewards(case2, step, [0.0, (0.8 + 0 / 12) * 1 / 12])
-    state, _ = advance(config, state, actions("stay E").unsqueeze(0))  # robot 1 does too
-    _, step = advance(config, state, actions("talk talk").unsqueeze(0))
-    assert step.received.tolist() == [[1, 1]]
+    state, _ = advance(config, state, actions("stay E"))  # robot 1 discovers one cell too
+    _, step = advance(config, state, actions("talk talk"))
+    assert step.received.tolist() == [1, 1]
     assert_rewards(case2, step, [(0.8 + 1 / 12) * 1 / 12] * 2)
 
 

@@ -13,7 +13,7 @@ from marl_explore.core.mapping import field_of_view, known_cells, known_mask, kn
 from marl_explore.core.motion import action_mask, open_moves
 from marl_explore.core.radio import in_range
 from marl_explore.core.rewards import REWARDS
-from marl_explore.core.world import NEVER, advance, num_targets, start
+from marl_explore.core.world import NEVER, advance, num_targets, resume, start
 from tests import reference
 from tests.boards import actions, arena, map_cells
 from tests.strategies import repeatable, scenarios
@@ -364,7 +364,15 @@ def test_the_step_is_complete_when_one_map_is():
 
     knows_all = state.map.clone()
     knows_all[0] = map_cells("....#...")
-    state, record = advance(config, state._replace(map=knows_all), actions("stay stay"))
+    given = ("unshared", "steps_since_merge", "step_count")
+    state = resume(
+        config,
+        state.obstacles,
+        state.position,
+        knows_all,
+        **{name: getattr(state, name) for name in given},
+    )
+    state, record = advance(config, state, actions("stay stay"))
     assert complete_maps(state).tolist() == [True, False]
     assert record.complete.item() is True
 
