@@ -15,6 +15,8 @@ from marl_explore import cli
 from marl_explore.config import PRESETS, require_integer
 
 MARK = "demo.txt"
+COMPARED = ("random", "nearest", "nearest-timer", "utility-cost")
+"""Planners that the learned policy stands beside."""
 FILES = ("table.txt", "results.csv", "coverage.png", "episode.gif", "replay.html")
 
 
@@ -51,7 +53,6 @@ def run(arguments: Arguments) -> None:
     from marl_explore import metrics, plots, runs
     from marl_explore.evaluation import find_policy, format_table, watch, write_results
     from marl_explore.evaluation import record as record_episodes
-    from marl_explore.planners import PLANNERS
     from marl_explore.replay import write_replay
 
     torch.set_num_threads(arguments.threads)
@@ -71,7 +72,7 @@ def run(arguments: Arguments) -> None:
     learned = runs.train(config, folder / "training")
 
     print(f"evaluating on {arguments.num_arenas} test arenas ...")
-    policies = {"learned": learned} | {n: find_policy(n, config.arena) for n in PLANNERS}
+    policies = {"learned": learned} | {n: find_policy(n, config.arena) for n in COMPARED}
     episodes = {
         name: record_episodes(policy, config.arena, num_arenas=arguments.num_arenas)
         for name, policy in policies.items()

@@ -10,14 +10,14 @@ import pytest
 ROOT = Path(__file__).parents[1]
 BLOCKS = [
     (page, block)
-    for page in ("README.md", "docs/replay.md")
+    for page in ("README.md", "docs/replay.md", "docs/planners.md")
     for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
     if "..." not in block
 ]
 
 
 def test_there_are_examples():
-    assert {page for page, _ in BLOCKS} == {"README.md", "docs/replay.md"}
+    assert {page for page, _ in BLOCKS} == {"README.md", "docs/replay.md", "docs/planners.md"}
 
 
 @pytest.mark.parametrize(("page", "block"), BLOCKS, ids=range(len(BLOCKS)))

@@ -173,7 +173,15 @@ def test_minimal_happo_learns_within_100_lines():
 
 @pytest.mark.parametrize(
     "name",
-    ["train.py", "evaluate.py", "replay.py", "demo.py", "leaderboard.py", "minimal_happo.py"],
+    [
+        "train.py",
+        "evaluate.py",
+        "replay.py",
+        "demo.py",
+        "leaderboard.py",
+        "tune_planners.py",
+        "minimal_happo.py",
+    ],
 )
 def test_help(name):
     done = recipe(name, "--help")
@@ -231,3 +239,13 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
     done = recipe("evaluate.py", tmp_path)
     assert done.returncode == 1
     assert "is not a readable policy file" in done.stderr
+
+
+def test_settings_of_a_planner_are_compared():
+    done = recipe("tune_planners.py", "nearest-timer", "--num-arenas", "2", "--steps", "5")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert [line.split()[:2] for line in lines[2:]] == [["timer", k] for k in "4568"]
+    refused = recipe("tune_planners.py", "nobody")
+    assert refused.returncode == 1
+    assert "planner='nobody' is not one of ['nearest-timer'" in refused.stderr
