@@ -5,13 +5,17 @@ python -m benchmarks.environment
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 
 from benchmarks.baselines import PythonExploration
 from benchmarks.timing import medians
 from marl_explore import ArenaConfig, make_env
 from marl_explore.collect import make_collector
+from marl_explore.config import TrainConfig
 from marl_explore.planners import PLANNERS
+from marl_explore.trainer import make_training_env
 
 ROBOTS = 4
 
@@ -31,10 +35,10 @@ def collector_step(num_envs: int, steps: int):
     """A batch of a TorchRL collector with the random walk as its policy."""
     config = ArenaConfig(num_agents=ROBOTS)
     collector = make_collector(
-        lambda: make_env(config, num_envs, max_steps=10**9),
+        partial(make_training_env, TrainConfig(config, episode_steps=10**9)),
         PLANNERS["random"](config),
-        frames_per_batch=num_envs * steps,
-        total_frames=10**12,
+        num_envs=num_envs,
+        steps=steps,
     )
     batches = iter(collector)
     return lambda: next(batches)

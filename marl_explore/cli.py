@@ -9,6 +9,7 @@ from typing import TypeVar
 import tyro
 
 from marl_explore.config import ArenaConfig
+from marl_explore.interrupts import RunInterruptedError
 
 Arguments = TypeVar("Arguments")
 
@@ -28,10 +29,13 @@ def trained_arena(words: Sequence[str]) -> ArenaConfig:
 
 
 def main(parse: Callable[[], Arguments], run: Callable[[Arguments], None]) -> None:
-    """Parse and run; wrong input ends the program with one line and exit status 1."""
+    """Parse and run; what goes wrong ends the program with one line and exit status 1."""
     try:
         run(parse())
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
+    except RunInterruptedError as interrupted:
+        print(interrupted, file=sys.stderr)
+        sys.exit(interrupted.status)
     except KeyboardInterrupt:
         sys.exit("interrupted")

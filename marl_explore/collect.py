@@ -1,36 +1,236 @@
-"""From an environment and a policy to a TorchRL collector."""
+"""From settings to a TorchRL collector: in this process, in worker processes, or in Ray's."""
 
 from __future__ import annotations
 
+import logging
+import sys
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, Protocol
 
+import torch
+from safetensors.torch import load, save
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import Collector
+from torch import Tensor
+from torchrl.collectors import BaseCollector, Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
+
+from marl_explore.core.hashing import stream_seed
+from marl_explore.execution import RunConfig
+from marl_explore.interrupts import detach
+
+logger = logging.getLogger(__name__)
+
+ArenaStates = dict[str, Tensor]
+
+
+class CreateEnv(Protocol):
+    """Makes a part of all arenas: ``num_envs`` of them from number ``first_arena`` on."""
+
+    def __call__(self, *, num_envs: int, first_arena: int) -> EnvBase:
+        """A batched environment around an ``ExplorationEnv``, with "episode_reward"."""
+
+
+class ResumableCollector(Collector):
+    """A collector whose state holds what TorchRL's leaves out, so that it goes on exactly.
+
+    ``state_dict`` has the arenas under way, the returns so far, and the random generator that
+    actions are drawn from; ``load_state_dict`` puts all of them back.
+    """
+
+    _returns: Tensor | None = None
+
+    def rollout(self) -> TensorDictBase:
+        """The next batch [B, T]."""
+        batch = super().rollout()
+        last = batch["next"][:, -1]
+        self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
+        return batch
+
+    def state_dict(self) -> dict[str, bytes]:
+        """Everything the future depends on but the policy, packed into one entry.
+
+        One entry, because between processes each tensor takes a file descriptor.
+        """
+        state: dict[str, Any] = self.env.base_env.state_dict()
+        returns = self._returns
+        if returns is None:
+            returns = self.env.full_reward_spec.zero()["reward"]
+        tensors = {name: value.clone() for name, value in state.items() if name != "seed"}
+        tensors |= {"returns": returns, "random": torch.get_rng_state()}
+        return {"packed": save(tensors)}
+
+    def load_state_dict(self, state_dict: dict[str, bytes], **_: Any) -> None:
+        """Go on from a ``state_dict`` of a collector of the same arenas."""
+        tensors = load(state_dict["packed"])
+        random, returns = tensors.pop("random"), tensors.pop("returns")
+        env = self.env.base_env
+        env.load_state_dict({**tensors, "seed": env.state_dict()["seed"]})
+        observed = self.env.reset()  # of the loaded arenas
+        # and a reset of none of them, which keeps the returns it is given
+        observed.set("_reset", torch.zeros_like(returns, dtype=torch.bool))
+        self.reset(tensordict=observed.set("episode_reward", returns), set_state=False)
+        self._returns = returns
+        torch.set_rng_state(random)
 
 
 def make_collector(
-    create_env: Callable[[], EnvBase],
+    create_env: CreateEnv,
     policy: TensorDictModuleBase,
-    frames_per_batch: int,
-    total_frames: int,
-) -> Collector:
-    """A collector of rollouts [B, T] in this process.
+    num_envs: int,
+    steps: int,
+    run: RunConfig | None = None,
+    seed: int = 0,
+) -> BaseCollector:
+    """A collector of endless rollouts; ``batches`` iterates over it.
+
+    In this process the policy's parameters are used in place. Workers hold copies, which
+    ``update_policy_weights_`` brings up to date.
 
     Args:
-        create_env: makes the batched environment.
-        policy: acts on the whole batch; its parameters are used in place, so that an update needs
-            no copy.
-        frames_per_batch: arenas times steps of one batch.
-        total_frames: arenas times steps in all.
+        create_env: makes a part of the arenas; workers must be able to import it.
+        policy: acts on a whole batch of arenas.
+        num_envs: arenas in all; the workers share their numbering.
+        steps: of every arena per batch.
+        run: which collector; default: this process.
+        seed: of the actions that workers draw; this process draws from torch's generator.
+
+    Raises:
+        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
     """
-    env = create_env()
-    return Collector(
-        env,
-        policy,
-        frames_per_batch=frames_per_batch,
-        total_frames=total_frames,
-        device=env.device,
-        trust_policy=True,  # planners have no parameters to tell their device by
-        auto_register_policy_transforms=False,
-    )
+    run = run or RunConfig()
+    require_collector(run, num_envs)
+    options: dict[str, Any] = {
+        "trust_policy": True,  # planners have no parameters to tell their device by
+        "auto_register_policy_transforms": False,
+    }
+    if run.collector == "process":
+        env = create_env(num_envs=num_envs, first_arena=0)
+        return ResumableCollector(
+            env, policy, frames_per_batch=num_envs * steps, device=env.device, **options
+        )
+    part = num_envs // run.workers
+    workers = [
+        partial(_worker_env, create_env, part, part * i, stream_seed(f"worker {i}", seed))
+        for i in range(run.workers)
+    ]
+    options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
+    options["collector_class"] = ResumableCollector
+    if run.collector == "multiasync":
+        return MultiAsyncCollector(workers, policy, **options)
+    return MultiSyncCollector(workers, policy, cat_results=0, use_buffers=True, **options)
+
+
+def require_collector(run: RunConfig, num_envs: int) -> None:
+    """Refuse a collector that cannot be made.
+
+    Raises:
+        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
+    """
+    if num_envs % run.workers:
+        raise ValueError(
+            f"workers={run.workers} is not allowed: it must divide num_envs={num_envs}"
+        )
+    if run.collector == "ray" and find_spec("ray") is None:
+        raise ValueError("collector='ray' needs the package ray: pip install ray")
+
+
+def _worker_env(create_env: CreateEnv, num_envs: int, first_arena: int, seed: int) -> EnvBase:
+    """Called in a worker: its arenas, and its own random actions."""
+    detach()
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    return create_env(num_envs=num_envs, first_arena=first_arena)
+
+
+class WorkerError(ChildProcessError):
+    """Workers died again and again; the arenas of the last whole batch are not lost."""
+
+
+class Rollouts:
+    """Batches [B, T] one after the other, whoever collects them.
+
+    Workers that die are replaced: all of them start again with the arenas and the random
+    generators they had before the batch, so that the same batch is collected. Only "multiasync"
+    starts new arenas, because its workers are always under way.
+
+    Args:
+        start: makes the collector.
+        run: which collector it is.
+    """
+
+    MAX_RESTARTS = 3
+
+    def __init__(self, start: Callable[[], BaseCollector], run: RunConfig) -> None:
+        self._start = start
+        self._in_process = run.collector == "process"
+        self._exact = run.collector != "multiasync"
+        self._workers = run.workers
+        self._collector: BaseCollector | None = None
+        self._states: list[Any] | None = None
+
+    def next(self) -> TensorDictBase:
+        """The next batch.
+
+        Raises:
+            WorkerError: when workers died once more after ``MAX_RESTARTS`` restarts.
+        """
+        if self._in_process:
+            return self._collect()
+        for restarts in range(self.MAX_RESTARTS + 1):
+            try:
+                return self._collect()
+            except _signs_of_death() as error:
+                self.close()
+                cause = error
+                logger.warning("%s; starting all workers again (%d)", error, restarts + 1)
+        raise WorkerError(f"workers died {self.MAX_RESTARTS + 1} times in a row") from cause
+
+    def _collect(self) -> TensorDictBase:
+        if self._collector is None:
+            self._collector = self._start()
+            if self._states is not None:
+                self._collector.map_fn("load_state_dict", [(state,) for state in self._states])
+            self._batches = iter(self._collector)
+        if self._in_process:
+            return next(self._batches)
+        self._collector.update_policy_weights_()
+        batch = next(self._batches)
+        if self._exact:
+            self._states = self._collector.map_fn("state_dict")
+        # Ray stacks what its workers send
+        return batch.flatten(0, 1) if batch.ndim > 2 else batch
+
+    def state(self) -> list[ArenaStates]:
+        """Per worker what its next batch depends on; empty before the first one."""
+        if self._in_process and self._collector is not None:
+            self._states = self._collector.map_fn("state_dict")
+        return [load(state["packed"]) for state in self._states or ()]
+
+    def load(self, states: list[ArenaStates]) -> None:
+        """Go on from a ``state``; to be called before the first batch.
+
+        Raises:
+            ValueError: when it is of another number of workers.
+        """
+        if len(states) not in (0, self._workers):
+            raise ValueError(
+                f"workers={self._workers} is not allowed: the state is of {len(states)}"
+            )
+        self._states = [{"packed": save(state)} for state in states] or None
+
+    def close(self) -> None:
+        """End the workers."""
+        if self._collector is not None:
+            with suppress(Exception):  # of workers that are dead already
+                self._collector.shutdown()
+            self._collector = None
+
+
+def _signs_of_death() -> tuple[type[BaseException], ...]:
+    """What TorchRL raises when it misses a worker: of Ray, or of a pipe."""
+    ray = (sys.modules["ray"].exceptions.RayError,) if "ray" in sys.modules else ()
+    return (RuntimeError, EOFError, OSError, *ray)

@@ -1,8 +1,10 @@
-"""Train a team with HAPPO.
+"""Train a team with HAPPO, and go on with what was stopped.
 
 python recipes/train.py fast
 
 python recipes/train.py paper-cnn-case2 --seed 1 --out runs/cnn-case2-seed1
+
+python recipes/train.py resume runs/cnn-case2-seed1
 """
 
 from __future__ import annotations
@@ -10,37 +12,54 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Union
 
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS, TrainConfig, require_integer
+from marl_explore.config import PRESETS, TrainConfig
+from marl_explore.execution import RunConfig
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Start:
     """Everything a training run can be told."""
 
     train: TrainConfig = field(default_factory=TrainConfig)
+    run: RunConfig = field(default_factory=RunConfig)
     out: Path | None = None
     """New run folder; default: runs/ and the time."""
-    threads: int = 1
-    """CPU threads of torch."""
 
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        require_integer("threads", self.threads, 1)
+
+@dataclass(frozen=True)
+class Resume:
+    """Go on with a run from its last checkpoint."""
+
+    folder: tyro.conf.Positional[Path]
+    """Run folder."""
+    from_previous: bool = False
+    """Whether to go on from the checkpoint before the last one."""
+
+
+Arguments = Start | Resume
 
 
 def parse() -> Arguments:
-    """Read the command line: a preset, and what to change in it."""
-    presets = {
-        name: (f"{c.architecture}, reward {c.reward}, {c.episodes} episodes", Arguments(train=c))
+    """Read the command line: a preset and what to change in it, or a run to go on with."""
+    choices: list[Any] = [
+        Annotated[
+            Start,
+            tyro.conf.subcommand(
+                name,
+                default=Start(train=c),
+                description=f"{c.architecture}, reward {c.reward}, {c.episodes} episodes",
+            ),
+        ]
         for name, c in PRESETS.items()
-    }
-    return tyro.extras.overridable_config_cli(
-        presets, prog="train.py", description=__doc__, config=cli.OPTIONS
-    )
+    ]
+    choices.append(Annotated[Resume, tyro.conf.subcommand("resume")])
+    kinds: Any = Union[tuple(choices)]  # noqa: UP007 - made at run time
+    return tyro.cli(kinds, prog="train.py", description=__doc__, config=cli.OPTIONS)
 
 
 def run(arguments: Arguments) -> None:
@@ -49,9 +68,14 @@ def run(arguments: Arguments) -> None:
 
     from marl_explore import runs
 
-    torch.set_num_threads(arguments.threads)
-    folder = arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S")
-    runs.train(arguments.train, folder)
+    if isinstance(arguments, Resume):
+        folder = arguments.folder
+        torch.set_num_threads(runs.read_settings(folder)[1].threads)
+        runs.resume(folder, from_previous=arguments.from_previous)
+    else:
+        folder = arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S")
+        torch.set_num_threads(arguments.run.threads)
+        runs.train(arguments.train, folder, arguments.run)
     print(f"policy and training curves: {folder}")
     print(f"evaluate it: python recipes/evaluate.py {folder} random nearest nearest-timer")
 

@@ -32,9 +32,12 @@ def test_train_then_evaluate(tmp_path):
     assert config["seed"] == 3
     assert config["arena"]["height"] == 6
     record = json.loads((run / "run.json").read_text())
-    assert record["versions"]["torchrl"].startswith("0.14")
-    assert "train.py fast" in record["command"]
+    (start,) = record["starts"]
+    assert start["versions"]["torchrl"].startswith("0.14")
+    assert "train.py fast" in start["command"]
+    assert record["execution"]["collector"] == "process"
     assert record["frames"] == 160
+    assert record["finished"]
     rewards = list(csv.reader((run / "scalars" / "reward.csv").read_text().splitlines()))
     assert [int(frames) for frames, _ in rewards] == [80, 160]
     assert load_policy(run).spec.arena.num_agents == 2
@@ -132,6 +135,10 @@ def test_help(name):
         (["replay.py", "random", "--arena-index", "-1"], "arena_index=-1"),
         (["replay.py", "random", "--steps", "0"], "steps=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
+        (["train.py", "fast", "--workers", "2"], "workers=2 is not allowed with collector='pr"),
+        (["train.py", "fast", "--collector", "multisync", "--workers", "5"], "workers=5"),
+        (["train.py", "fast", "--logger", "mlflow"], "pip install mlflow"),
+        (["train.py", "resume", "nowhere"], "nowhere is not a run folder"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
         (["demo.py", "--episodes", "1"], "episodes=1"),
     ],
