@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import partial
 from importlib.util import find_spec
 from typing import Any, Protocol
@@ -17,10 +17,12 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
+from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from marl_explore.core.hashing import stream_seed
 from marl_explore.execution import RunConfig
 from marl_explore.interrupts import detach
+from marl_explore.team import TeamActor
 
 logger = logging.getLogger(__name__)
 
@@ -44,8 +46,10 @@ class ResumableCollector(Collector):
     _returns: Tensor | None = None
 
     def rollout(self) -> TensorDictBase:
-        """The next batch [B, T]."""
-        batch = super().rollout()
+        """The next batch [B, T], the actors of a team run as one network."""
+        team = isinstance(self.policy, TeamActor)
+        with self.policy.stacked.together() if team else nullcontext():
+            batch = super().rollout()
         last = batch["next"][:, -1]
         self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
         return batch
@@ -76,6 +80,10 @@ class ResumableCollector(Collector):
         self._returns = returns
         torch.set_rng_state(random)
 
+    def load_weights(self, packed: bytes) -> None:
+        """Act with these parameters from now on."""
+        self.policy.load_state_dict(load(packed))
+
 
 def make_collector(
     create_env: CreateEnv,
@@ -84,11 +92,11 @@ def make_collector(
     steps: int,
     run: RunConfig | None = None,
     seed: int = 0,
+    first_arena: int = 0,
 ) -> BaseCollector:
-    """A collector of endless rollouts; ``batches`` iterates over it.
+    """A collector of endless rollouts.
 
-    In this process the policy's parameters are used in place. Workers hold copies, which
-    ``update_policy_weights_`` brings up to date.
+    This process uses the policy's parameters in place, workers hold copies (see ``Rollouts``).
 
     Args:
         create_env: makes a part of the arenas; workers must be able to import it.
@@ -97,6 +105,7 @@ def make_collector(
         steps: of every arena per batch.
         run: which collector; default: this process.
         seed: of the actions that workers draw; this process draws from torch's generator.
+        first_arena: number of the first arena.
 
     Raises:
         ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
@@ -108,20 +117,27 @@ def make_collector(
         "auto_register_policy_transforms": False,
     }
     if run.collector == "process":
-        env = create_env(num_envs=num_envs, first_arena=0)
+        env = create_env(num_envs=num_envs, first_arena=first_arena)
         return ResumableCollector(
             env, policy, frames_per_batch=num_envs * steps, device=env.device, **options
         )
     part = num_envs // run.workers
     workers = [
-        partial(_worker_env, create_env, part, part * i, stream_seed(f"worker {i}", seed))
-        for i in range(run.workers)
+        partial(_worker_env, create_env, part, first, stream_seed(f"worker of arena {first}", seed))
+        for first in range(first_arena, first_arena + num_envs, part)
     ]
     options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
     options["collector_class"] = ResumableCollector
     if run.collector == "multiasync":
-        return MultiAsyncCollector(workers, policy, **options)
-    return MultiSyncCollector(workers, policy, cat_results=0, use_buffers=True, **options)
+        # without waiting for workers to have the weights: one that died never would
+        schemes = {"policy": SharedMemWeightSyncScheme(sync=False)}
+        return MultiAsyncCollector(workers, policy, weight_sync_schemes=schemes, **options)
+    options |= {"policy_factory": partial(_itself, policy), "weight_sync_schemes": {}}
+    return MultiSyncCollector(workers, cat_results=0, use_buffers=True, **options)
+
+
+def _itself(policy: TensorDictModuleBase) -> TensorDictModuleBase:
+    return policy
 
 
 def require_collector(run: RunConfig, num_envs: int) -> None:
@@ -154,23 +170,30 @@ class Rollouts:
     """Batches [B, T] one after the other, whoever collects them.
 
     Workers that die are replaced: all of them start again with the arenas and the random
-    generators they had before the batch, so that the same batch is collected. Only "multiasync"
-    starts new arenas, because its workers are always under way.
+    generators they had before the batch, so that the same batch is collected. Only those of
+    "multiasync", who are always under way, start with new arenas.
 
     Args:
-        start: makes the collector.
+        start: makes the collector, given ``first_arena``.
+        policy: whose parameters workers get before every batch.
         run: which collector it is.
+        num_envs: arenas in all.
     """
 
     MAX_RESTARTS = 3
 
-    def __init__(self, start: Callable[[], BaseCollector], run: RunConfig) -> None:
-        self._start = start
-        self._in_process = run.collector == "process"
-        self._exact = run.collector != "multiasync"
-        self._workers = run.workers
+    def __init__(
+        self,
+        start: Callable[..., BaseCollector],
+        policy: TensorDictModuleBase,
+        run: RunConfig,
+        num_envs: int,
+    ) -> None:
+        self._start, self._policy = start, policy
+        self._kind, self._workers, self._num_envs = run.collector, run.workers, num_envs
         self._collector: BaseCollector | None = None
         self._states: list[Any] | None = None
+        self._done = 0
 
     def next(self) -> TensorDictBase:
         """The next batch.
@@ -178,7 +201,7 @@ class Rollouts:
         Raises:
             WorkerError: when workers died once more after ``MAX_RESTARTS`` restarts.
         """
-        if self._in_process:
+        if self._kind == "process":
             return self._collect()
         for restarts in range(self.MAX_RESTARTS + 1):
             try:
@@ -191,36 +214,45 @@ class Rollouts:
 
     def _collect(self) -> TensorDictBase:
         if self._collector is None:
-            self._collector = self._start()
+            lost = self._done if self._kind == "multiasync" else 0
+            self._collector = self._start(first_arena=lost * self._num_envs)
             if self._states is not None:
                 self._collector.map_fn("load_state_dict", [(state,) for state in self._states])
             self._batches = iter(self._collector)
-        if self._in_process:
-            return next(self._batches)
-        self._collector.update_policy_weights_()
+        in_step = self._kind in ("multisync", "ray")
+        if in_step:  # not by TorchRL's schemes, which wait for ever for a worker that died
+            weights = save(self._policy.state_dict())
+            self._collector.map_fn("load_weights", [(weights,)] * self._workers)
+        elif self._kind == "multiasync":
+            self._collector.update_policy_weights_()
         batch = next(self._batches)
-        if self._exact:
+        if in_step:
             self._states = self._collector.map_fn("state_dict")
-        # Ray stacks what its workers send
-        return batch.flatten(0, 1) if batch.ndim > 2 else batch
+        self._done += 1
+        return batch.flatten(0, 1) if self._kind == "ray" else batch  # Ray stacks its workers'
 
     def state(self) -> list[ArenaStates]:
-        """Per worker what its next batch depends on; empty before the first one."""
-        if self._in_process and self._collector is not None:
+        """Per worker what its next batch depends on; empty where that cannot be told."""
+        if self._kind == "process" and self._collector is not None:
             self._states = self._collector.map_fn("state_dict")
         return [load(state["packed"]) for state in self._states or ()]
 
-    def load(self, states: list[ArenaStates]) -> None:
+    def load(self, states: list[ArenaStates], done: int) -> None:
         """Go on from a ``state``; to be called before the first batch.
 
+        Args:
+            states: of the same number of workers.
+            done: batches that were collected before.
+
         Raises:
-            ValueError: when it is of another number of workers.
+            ValueError: for another number of workers.
         """
         if len(states) not in (0, self._workers):
             raise ValueError(
                 f"workers={self._workers} is not allowed: the state is of {len(states)}"
             )
         self._states = [{"packed": save(state)} for state in states] or None
+        self._done = done
 
     def close(self) -> None:
         """End the workers."""

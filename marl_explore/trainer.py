@@ -98,7 +98,9 @@ class Trainer:
                 run=run,
                 seed=config.seed,
             ),
+            self.policy.team,
             run,
+            config.num_envs,
         )
 
     def _make_loss(self, critic: TensorDictModule) -> HAPPOLoss:
@@ -145,9 +147,8 @@ class Trainer:
             self.rollouts.close()
 
     def collect(self) -> TensorDictBase:
-        """The next rollout [B, T], the actors run as one network where this process acts."""
-        with self.policy.team.stacked.together():
-            batch = self.rollouts.next()
+        """The next rollout [B, T]."""
+        batch = self.rollouts.next()
         require_finite_batch(batch, self.updates + 1)
         return batch
 
@@ -177,7 +178,7 @@ class Trainer:
                 scheduler.load_state_dict(saved)
             self.generator.set_state(state["generator"])
             self.updates, self.seconds = state["updates"], state["seconds"]
-            self.rollouts.load(state["rollouts"])
+            self.rollouts.load(state["rollouts"], done=self.updates)
         except (KeyError, RuntimeError) as error:
             first = str(error).split("\n\t")[:2][-1]  # torch lists all that differ
             raise ValueError(f"the state does not fit this run: {first}") from error
