@@ -72,3 +72,20 @@ class RunConfig:
                 f"ray_address={self.ray_address!r} needs collector='ray', "
                 f"got collector={self.collector!r}"
             )
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds in words: ranges and numbers, "0-4" or "0,2,7-9".
+
+    Raises:
+        ValueError: for anything else, and for a seed that comes twice.
+    """
+    seeds: list[int] = []
+    for part in text.split(","):
+        bounds = part.split("-")
+        if len(bounds) > 2 or not all(bound.isdecimal() for bound in bounds):
+            raise ValueError(f"seeds={text!r} is not allowed: use a range 0-4 or a list 0,2,7")
+        seeds += range(int(bounds[0]), int(bounds[-1]) + 1)
+    if len(set(seeds)) < len(seeds) or not seeds:
+        raise ValueError(f"seeds={text!r} is not allowed: every seed must come once")
+    return seeds

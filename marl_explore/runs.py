@@ -8,32 +8,20 @@ import shlex
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
-from marl_explore.checkpoint import (
-    CheckpointError,
-    list_checkpoints,
-    read_checkpoint,
-    write_checkpoint,
-)
-from marl_explore.collect import WorkerError
+from marl_explore.checkpoint import CheckpointError, list_checkpoints, read_checkpoint
 from marl_explore.config import ArenaConfig, TrainConfig
 from marl_explore.execution import RunConfig
 from marl_explore.files import whole_file
-from marl_explore.finite import NonFiniteError
-from marl_explore.interrupts import Request, RunInterruptedError, deferred
-from marl_explore.loggers import Loggers, require_logger
+from marl_explore.loggers import require_logger
 from marl_explore.policies import Policy, save_policy
+from marl_explore.session import carry_out, versions
 from marl_explore.trainer import Trainer
 from marl_explore.validation import Validation
 
-PACKAGES = ("marl-explore", "torch", "torchrl", "tensordict")
 CONFIG_FILE, RECORD_FILE = "config.json", "run.json"
 
 
@@ -70,7 +58,7 @@ def provenance() -> dict[str, Any]:
     """What is needed to do a run again: command, versions and machine."""
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.argv]),
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "versions": versions(),
         "platform": platform.platform(),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
@@ -100,12 +88,31 @@ def train(
         NonFiniteError, WorkerError: when the run cannot go on; checkpoints are kept.
     """
     run = run or RunConfig()
+    trainer = make_trainer(config, run)  # wrong settings end here, before a folder is made
+    folder = prepare(config, folder, run)
+    return _carry_out(trainer, Validation(config.arena, run, folder), progress)
+
+
+def make_trainer(config: TrainConfig, run: RunConfig) -> Trainer:
+    """The trainer of a run, once everything that it needs is there.
+
+    Raises:
+        ValueError: naming the setting that does not fit, or the package that is missing.
+    """
     require_logger(run.logger)
-    trainer = Trainer(config, run)  # wrong settings end here, before a folder is made
+    return Trainer(config, run)
+
+
+def prepare(config: TrainConfig, folder: str | Path, run: RunConfig) -> Path:
+    """A new run folder that ``resume`` starts from the beginning.
+
+    Raises:
+        ValueError: when the folder is in use.
+    """
     folder = new_folder(folder)
     write_json(folder / CONFIG_FILE, asdict(config))
     write_json(folder / RECORD_FILE, {"execution": asdict(run), "starts": []})
-    return _carry_out(trainer, Validation(config.arena, run, folder), progress)
+    return folder
 
 
 def resume(folder: str | Path, from_previous: bool = False, progress: bool = True) -> Policy:
@@ -127,8 +134,7 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
     config, run = read_settings(folder)
     if is_finished(folder):
         raise ValueError(f"the run in {folder} is finished: there is nothing to go on with")
-    require_logger(run.logger)
-    trainer, validation = Trainer(config, run), Validation(config.arena, run, folder)
+    trainer, validation = make_trainer(config, run), Validation(config.arena, run, folder)
     path = _checkpoint_to_resume(folder, from_previous)
     if path is not None:
         state = _read(path)
@@ -189,86 +195,14 @@ def _require_same(saved: Mapping[str, Any], config: TrainConfig, path: Path) -> 
 
 
 def _carry_out(trainer: Trainer, validation: Validation, progress: bool) -> Policy:
-    """The rest of a run, from where the trainer is."""
-    folder, run = validation.folder, validation.run
+    """The rest of a run and its record, from where the trainer is."""
+    folder = validation.folder
     record = json.loads((folder / RECORD_FILE).read_text())
     record["starts"].append(provenance() | {"updates": trainer.updates})
     write_json(folder / RECORD_FILE, record)
-    settings = asdict(trainer.config) | {"execution": asdict(run)}
-    loggers = Loggers(run.logger, folder, settings, trainer.frames)
-    with deferred() as request, _progress_bar(trainer, progress) as bar:
-        try:
-            _loop(trainer, validation, loggers, request, bar)
-        except NonFiniteError as error:
-            kept = list_checkpoints(folder)
-            last = f"the last good checkpoint is {kept[-1]}" if kept else "there is no checkpoint"
-            raise NonFiniteError(f"{error}; {last}") from error
-        except WorkerError as error:
-            _save(trainer, validation)
-            raise WorkerError(f"{error}; {_how_to_resume(trainer, folder)}") from error
+    carry_out(trainer, validation, progress)
     record |= {"seconds": round(trainer.seconds, 1), "frames": trainer.frames}
     info = {"config": asdict(trainer.config), **record["starts"][-1], **record}
     save_policy(trainer.policy, folder, info=info)
     write_json(folder / RECORD_FILE, record | {"finished": True})
     return trainer.policy.eval()
-
-
-def _loop(
-    trainer: Trainer, validation: Validation, loggers: Loggers, request: Request, bar: tqdm[Any]
-) -> None:
-    last, every = trainer.config.updates, validation.run.checkpoint_every
-    latest: dict[str, str] = {}
-    with closing(trainer.run()) as updates:
-        for metrics in updates:
-            if validation.due(trainer.updates, last):
-                metrics |= validation(trainer.policy, trainer.updates)
-            loggers.log(metrics, trainer.frames)
-            latest.update(_headline(metrics))
-            bar.set_postfix(latest, refresh=False)
-            bar.update(trainer.config.batch_frames)
-            stop = request.signal if trainer.updates < last else None
-            if stop or trainer.updates == last or (every and trainer.updates % every == 0):
-                _save(trainer, validation)
-            if stop:
-                raise RunInterruptedError(stop, _how_to_resume(trainer, validation.folder))
-
-
-def _save(trainer: Trainer, validation: Validation) -> None:
-    state = {
-        "config": asdict(trainer.config),
-        "versions": provenance()["versions"],
-        "best": validation.best,
-        "trainer": trainer.state_dict(),
-    }
-    write_checkpoint(
-        validation.folder, trainer.updates, state, keep=validation.run.keep_checkpoints
-    )
-
-
-def _how_to_resume(trainer: Trainer, folder: Path) -> str:
-    return (
-        f"update {trainer.updates} of {trainer.config.updates} is kept, go on with: "
-        f"python recipes/train.py resume {folder}"
-    )
-
-
-def _progress_bar(trainer: Trainer, progress: bool) -> tqdm[Any]:
-    return tqdm(
-        total=trainer.config.updates * trainer.config.batch_frames,
-        initial=trainer.frames,
-        unit=" steps",
-        disable=not progress,
-        mininterval=0.2 if sys.stderr.isatty() else 15,  # a log file wants few lines
-    )
-
-
-def _headline(metrics: Mapping[str, float]) -> dict[str, str]:
-    """The progress bar's numbers, as far as the update has them."""
-    columns = {
-        "return": ("episode_return", "{:.1f}"),
-        "coverage": ("final_coverage", "{:.1%}"),
-        "communicate": ("communication_share", "{:.0%}"),
-    }
-    return {
-        title: form.format(metrics[key]) for title, (key, form) in columns.items() if key in metrics
-    }

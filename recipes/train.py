@@ -5,6 +5,8 @@ python recipes/train.py fast
 python recipes/train.py paper-cnn-case2 --seed 1 --out runs/cnn-case2-seed1
 
 python recipes/train.py resume runs/cnn-case2-seed1
+
+python recipes/train.py fast --seeds 0-4 --out runs/fast
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from typing import Annotated, Any, Union
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS, TrainConfig
-from marl_explore.execution import RunConfig
+from marl_explore.config import PRESETS, TrainConfig, require_integer
+from marl_explore.execution import RunConfig, parse_seeds
 
 
 @dataclass(frozen=True)
@@ -29,14 +31,25 @@ class Start:
     run: RunConfig = field(default_factory=RunConfig)
     out: Path | None = None
     """New run folder; default: runs/ and the time."""
+    seeds: str | None = None
+    """A run per seed, in folders of their own: 0-4 or 0,2,7; it replaces seed."""
+    jobs: int | None = None
+    """Runs side by side, with seeds; default: as many as there are cores for."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if self.seeds is not None:
+            parse_seeds(self.seeds)
+        if self.jobs is not None:
+            require_integer("jobs", self.jobs, 1)
 
 
 @dataclass(frozen=True)
 class Resume:
-    """Go on with a run from its last checkpoint."""
+    """Go on with a run from its last checkpoint, or with all runs of a sweep over seeds."""
 
     folder: tyro.conf.Positional[Path]
-    """Run folder."""
+    """Folder of the run or the sweep."""
     from_previous: bool = False
     """Whether to go on from the checkpoint before the last one."""
 
@@ -66,18 +79,30 @@ def run(arguments: Arguments) -> None:
     """Train, and say where the results are."""
     import torch
 
-    from marl_explore import runs
+    from marl_explore import runs, sweeps
 
+    summary = None
     if isinstance(arguments, Resume):
         folder = arguments.folder
-        torch.set_num_threads(runs.read_settings(folder)[1].threads)
-        runs.resume(folder, from_previous=arguments.from_previous)
+        if sweeps.is_sweep(folder):
+            summary = sweeps.resume_sweep(folder)
+        else:
+            torch.set_num_threads(runs.read_settings(folder)[1].threads)
+            runs.resume(folder, from_previous=arguments.from_previous)
     else:
         folder = arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S")
         torch.set_num_threads(arguments.run.threads)
-        runs.train(arguments.train, folder, arguments.run)
-    print(f"policy and training curves: {folder}")
-    print(f"evaluate it: python recipes/evaluate.py {folder} random nearest nearest-timer")
+        if arguments.seeds is not None:
+            seeds = parse_seeds(arguments.seeds)
+            summary = sweeps.sweep(arguments.train, folder, seeds, arguments.run, arguments.jobs)
+        else:
+            runs.train(arguments.train, folder, arguments.run)
+    if summary is None:
+        print(f"policy and training curves: {folder}")
+        print(f"evaluate it: python recipes/evaluate.py {folder} random nearest nearest-timer")
+    else:
+        print(sweeps.format_summary(summary))
+        print(f"runs and every metric over seeds: {folder}")
 
 
 if __name__ == "__main__":
