@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from importlib.util import find_spec
 from typing import Any, Protocol
@@ -23,10 +23,6 @@ from marl_explore.core.hashing import stream_seed
 from marl_explore.execution import RunConfig
 from marl_explore.interrupts import detach
 from marl_explore.team import TeamActor
-
-logger = logging.getLogger(__name__)
-
-ArenaStates = dict[str, Tensor]
 
 
 class CreateEnv(Protocol):
@@ -96,7 +92,8 @@ def make_collector(
 ) -> BaseCollector:
     """A collector of endless rollouts.
 
-    This process uses the policy's parameters in place, workers hold copies (see ``Rollouts``).
+    This process uses the policy's parameters in place; workers hold copies, which
+    ``rollouts.Rollouts`` brings up to date.
 
     Args:
         create_env: makes a part of the arenas; workers must be able to import it.
@@ -128,12 +125,49 @@ def make_collector(
     ]
     options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
     options["collector_class"] = ResumableCollector
+    if run.collector == "ray":
+        return _ray_collector(workers, policy, run, options)
     if run.collector == "multiasync":
         # without waiting for workers to have the weights: one that died never would
         schemes = {"policy": SharedMemWeightSyncScheme(sync=False)}
         return MultiAsyncCollector(workers, policy, weight_sync_schemes=schemes, **options)
     options |= {"policy_factory": partial(_itself, policy), "weight_sync_schemes": {}}
     return MultiSyncCollector(workers, cat_results=0, use_buffers=True, **options)
+
+
+def _ray_collector(
+    workers: Sequence[Callable[[], EnvBase]],
+    policy: TensorDictModuleBase,
+    run: RunConfig,
+    options: dict[str, Any],
+) -> BaseCollector:
+    """Actors of a Ray cluster, one CPU each; the cluster outlives the collector."""
+    import ray
+    from torchrl.collectors.distributed import RayCollector
+
+    if not ray.is_initialized():
+        cluster: dict[str, Any] = {"num_cpus": run.workers, "include_dashboard": False}
+        if run.ray_address is not None:
+            cluster = {"address": run.ray_address}
+        ray.init(log_to_driver=False, **cluster)
+    cpus = ray.cluster_resources().get("CPU", 0)
+    if cpus < run.workers:
+        raise ChildProcessError(
+            f"Ray has {cpus:g} CPUs, which is too few for workers={run.workers}"
+        )
+    own = ("trust_policy", "auto_register_policy_transforms")
+    # it misses weights that rollouts.Rollouts hands out
+    warnings.filterwarnings("ignore", "RayCollector iteration started before weight sync")
+    return RayCollector(
+        workers,
+        policy,
+        sync=True,
+        postproc=lambda stacked: stacked.flatten(0, 1),  # [workers, arenas of one, T]
+        weight_sync_schemes={},
+        collector_kwargs={name: options.pop(name) for name in own},
+        remote_configs={"num_cpus": 1, "num_gpus": 0},
+        **options | {"total_frames": sys.maxsize},
+    )
 
 
 def _itself(policy: TensorDictModuleBase) -> TensorDictModuleBase:
@@ -160,109 +194,3 @@ def _worker_env(create_env: CreateEnv, num_envs: int, first_arena: int, seed: in
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     return create_env(num_envs=num_envs, first_arena=first_arena)
-
-
-class WorkerError(ChildProcessError):
-    """Workers died again and again; the arenas of the last whole batch are not lost."""
-
-
-class Rollouts:
-    """Batches [B, T] one after the other, whoever collects them.
-
-    Workers that die are replaced: all of them start again with the arenas and the random
-    generators they had before the batch, so that the same batch is collected. Only those of
-    "multiasync", who are always under way, start with new arenas.
-
-    Args:
-        start: makes the collector, given ``first_arena``.
-        policy: whose parameters workers get before every batch.
-        run: which collector it is.
-        num_envs: arenas in all.
-    """
-
-    MAX_RESTARTS = 3
-
-    def __init__(
-        self,
-        start: Callable[..., BaseCollector],
-        policy: TensorDictModuleBase,
-        run: RunConfig,
-        num_envs: int,
-    ) -> None:
-        self._start, self._policy = start, policy
-        self._kind, self._workers, self._num_envs = run.collector, run.workers, num_envs
-        self._collector: BaseCollector | None = None
-        self._states: list[Any] | None = None
-        self._done = 0
-
-    def next(self) -> TensorDictBase:
-        """The next batch.
-
-        Raises:
-            WorkerError: when workers died once more after ``MAX_RESTARTS`` restarts.
-        """
-        if self._kind == "process":
-            return self._collect()
-        for restarts in range(self.MAX_RESTARTS + 1):
-            try:
-                return self._collect()
-            except _signs_of_death() as error:
-                self.close()
-                cause = error
-                logger.warning("%s; starting all workers again (%d)", error, restarts + 1)
-        raise WorkerError(f"workers died {self.MAX_RESTARTS + 1} times in a row") from cause
-
-    def _collect(self) -> TensorDictBase:
-        if self._collector is None:
-            lost = self._done if self._kind == "multiasync" else 0
-            self._collector = self._start(first_arena=lost * self._num_envs)
-            if self._states is not None:
-                self._collector.map_fn("load_state_dict", [(state,) for state in self._states])
-            self._batches = iter(self._collector)
-        in_step = self._kind in ("multisync", "ray")
-        if in_step:  # not by TorchRL's schemes, which wait for ever for a worker that died
-            weights = save(self._policy.state_dict())
-            self._collector.map_fn("load_weights", [(weights,)] * self._workers)
-        elif self._kind == "multiasync":
-            self._collector.update_policy_weights_()
-        batch = next(self._batches)
-        if in_step:
-            self._states = self._collector.map_fn("state_dict")
-        self._done += 1
-        return batch.flatten(0, 1) if self._kind == "ray" else batch  # Ray stacks its workers'
-
-    def state(self) -> list[ArenaStates]:
-        """Per worker what its next batch depends on; empty where that cannot be told."""
-        if self._kind == "process" and self._collector is not None:
-            self._states = self._collector.map_fn("state_dict")
-        return [load(state["packed"]) for state in self._states or ()]
-
-    def load(self, states: list[ArenaStates], done: int) -> None:
-        """Go on from a ``state``; to be called before the first batch.
-
-        Args:
-            states: of the same number of workers.
-            done: batches that were collected before.
-
-        Raises:
-            ValueError: for another number of workers.
-        """
-        if len(states) not in (0, self._workers):
-            raise ValueError(
-                f"workers={self._workers} is not allowed: the state is of {len(states)}"
-            )
-        self._states = [{"packed": save(state)} for state in states] or None
-        self._done = done
-
-    def close(self) -> None:
-        """End the workers."""
-        if self._collector is not None:
-            with suppress(Exception):  # of workers that are dead already
-                self._collector.shutdown()
-            self._collector = None
-
-
-def _signs_of_death() -> tuple[type[BaseException], ...]:
-    """What TorchRL raises when it misses a worker: of Ray, or of a pipe."""
-    ray = (sys.modules["ray"].exceptions.RayError,) if "ray" in sys.modules else ()
-    return (RuntimeError, EOFError, OSError, *ray)

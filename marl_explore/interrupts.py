@@ -61,5 +61,5 @@ def deferred() -> Iterator[Request]:
 
 def detach() -> None:
     """Take a worker out of its parent's process group, so that Ctrl-C reaches the parent alone."""
-    if hasattr(os, "setsid"):
+    if hasattr(os, "setsid") and os.getpgrp() != os.getpid():  # else it leads one already
         os.setsid()

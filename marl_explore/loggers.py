@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from torchrl.record.loggers import Logger
+from torchrl.record.loggers import Logger, MLFlowLogger
 from torchrl.record.loggers.utils import get_logger
 
 from marl_explore.execution import LoggerName
 from marl_explore.files import whole_file
 
-PACKAGES: dict[str, str] = {"tensorboard": "tensorboard", "wandb": "wandb", "mlflow": "mlflow"}
+PACKAGES: dict[str, tuple[str, ...]] = {
+    "tensorboard": ("tensorboard",),
+    "wandb": ("wandb",),
+    "mlflow": ("mlflow", "omegaconf"),
+}
 """What a logger needs beside this package's dependencies."""
 PROJECT = "marl_explore"
 
@@ -24,9 +29,10 @@ def require_logger(name: LoggerName) -> None:
     Raises:
         ValueError: naming the package to install.
     """
-    package = PACKAGES.get(name)
-    if package is not None and find_spec(package) is None:
-        raise ValueError(f"logger={name!r} needs the package {package}: pip install {package}")
+    missing = [package for package in PACKAGES.get(name, ()) if find_spec(package) is None]
+    if missing:
+        packages = " ".join(missing)
+        raise ValueError(f"logger={name!r} needs {packages}: pip install {packages}")
 
 
 class Loggers:
@@ -59,9 +65,11 @@ class Loggers:
 
 
 def _open(name: str, folder: Path) -> Logger:
-    options = {"wandb_kwargs": {"project": PROJECT, "save_dir": str(folder)}}
-    place = folder if name == "mlflow" else folder.parent
-    return get_logger(name, str(place), folder.name, **options)
+    if name == "mlflow":  # get_logger asks for files, which MLflow has given up
+        default = f"sqlite:///{folder.absolute()}/mlflow.db"
+        return MLFlowLogger(folder.name, os.environ.get("MLFLOW_TRACKING_URI", default))
+    place = folder if name == "wandb" else folder.parent  # the others add the run's name
+    return get_logger(name, str(place), folder.name, wandb_kwargs={"project": PROJECT})
 
 
 def _rewind(file: Path, frames: int) -> None:
@@ -78,5 +86,6 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             flat |= _flat(value, f"{prefix}{key}.")
         else:
-            flat[prefix + key] = value
+            scalar = isinstance(value, (bool, int, float, str))
+            flat[prefix + key] = value if scalar else str(value)
     return flat

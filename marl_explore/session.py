@@ -14,10 +14,10 @@ from typing import Any
 from tqdm import tqdm
 
 from marl_explore.checkpoint import list_checkpoints, write_checkpoint
-from marl_explore.collect import WorkerError
 from marl_explore.finite import NonFiniteError
 from marl_explore.interrupts import Request, RunInterruptedError, deferred
 from marl_explore.loggers import Loggers
+from marl_explore.rollouts import WorkerError
 from marl_explore.trainer import Trainer
 from marl_explore.validation import Validation
 

@@ -14,7 +14,7 @@ from torch import nn
 from torchrl.envs import EnvBase, RewardSum
 from torchrl.modules import PopArtValueNorm
 
-from marl_explore.collect import Rollouts, make_collector, require_collector
+from marl_explore.collect import make_collector, require_collector
 from marl_explore.config import TrainConfig
 from marl_explore.execution import RunConfig
 from marl_explore.finite import require_finite, require_finite_batch
@@ -22,6 +22,7 @@ from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
 from marl_explore.models import make_critic
 from marl_explore.policies import Policy, PolicySpec
+from marl_explore.rollouts import Rollouts
 from marl_explore.team import probabilistic_actor
 from marl_explore.training_metrics import rollout_metrics
 

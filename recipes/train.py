@@ -57,14 +57,17 @@ class Resume:
 Arguments = Start | Resume
 
 
-def parse() -> Arguments:
+def parse(
+    prog: str = "train.py", about: str | None = __doc__, run: RunConfig | None = None
+) -> Arguments:
     """Read the command line: a preset and what to change in it, or a run to go on with."""
+    run = run or RunConfig()
     choices: list[Any] = [
         Annotated[
             Start,
             tyro.conf.subcommand(
                 name,
-                default=Start(train=c),
+                default=Start(train=c, run=run),
                 description=f"{c.architecture}, reward {c.reward}, {c.episodes} episodes",
             ),
         ]
@@ -72,7 +75,7 @@ def parse() -> Arguments:
     ]
     choices.append(Annotated[Resume, tyro.conf.subcommand("resume")])
     kinds: Any = Union[tuple(choices)]  # noqa: UP007 - made at run time
-    return tyro.cli(kinds, prog="train.py", description=__doc__, config=cli.OPTIONS)
+    return tyro.cli(kinds, prog=prog, description=about, config=cli.OPTIONS)
 
 
 def run(arguments: Arguments) -> None:

@@ -16,11 +16,12 @@ import pytest
 import torch
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from marl_explore import runs, trainer
+from marl_explore import collect, runs, trainer
 from marl_explore.checkpoint import list_checkpoints, read_checkpoint, write_checkpoint
-from marl_explore.collect import Rollouts, WorkerError, make_collector
+from marl_explore.collect import make_collector
 from marl_explore.execution import RunConfig
 from marl_explore.models import OBSERVATION_KEYS, make_actor
+from marl_explore.rollouts import Rollouts, WorkerError
 from marl_explore.team import TeamActor
 from marl_explore.trainer import Trainer, make_training_env
 from tests.killing import CONFIG
@@ -152,6 +153,12 @@ def test_workers_must_divide_the_arenas():
         Trainer(CONFIG, replace(TWO, workers=3))
 
 
+def test_ray_is_named_where_it_is_missing(monkeypatch):
+    monkeypatch.setattr(collect, "find_spec", lambda package: None)
+    with pytest.raises(ValueError, match="collector='ray' needs the package ray: pip install ray"):
+        Trainer(CONFIG, RunConfig(collector="ray"))
+
+
 class Doomed:
     """A collector whose workers die in every batch but the first ``lives``."""
 
@@ -177,7 +184,9 @@ def test_workers_that_die_again_and_again_end_the_run_with_nothing_lost(tmp_path
         return Doomed(make_collector(*args, **kwargs), next(lives))
 
     monkeypatch.setattr(trainer, "make_collector", start)
-    with pytest.raises(WorkerError, match=r"died 4 times in a row; update 2 of 12 is kept.*resume"):
+    with pytest.raises(
+        WorkerError, match=r"died 4 times in a row.*; update 2 of 12 is kept.*resume"
+    ):
         runs.train(CONFIG, folder, replace(TWO, workers=1), progress=False)
     (last,) = list_checkpoints(folder)
     assert read_checkpoint(last)["trainer"]["updates"] == 2

@@ -34,7 +34,7 @@ def test_hyper_parameters_are_logged_flat(tmp_path):
 @pytest.mark.parametrize("name", ["tensorboard", "wandb", "mlflow"])
 def test_a_missing_package_is_named_before_anything_is_made(tmp_path, monkeypatch, name):
     monkeypatch.setattr(loggers, "find_spec", lambda package: None)
-    with pytest.raises(ValueError, match=f"logger='{name}' needs .* pip install {name}"):
+    with pytest.raises(ValueError, match=f"logger='{name}' needs {name}.*: pip install {name}"):
         runs.train(CONFIG, tmp_path / "run", RunConfig(logger=name))
     assert list(tmp_path.iterdir()) == []
     require_logger("csv")

@@ -52,6 +52,21 @@ def test_train_then_evaluate(tmp_path):
     assert len((out / "results.csv").read_text().splitlines()) == 4
 
 
+def test_a_sweep_is_gone_on_with_by_the_same_command_as_a_run(tmp_path):
+    folder = tmp_path / "sweep"
+    swept = recipe("train.py", "fast", *TINY, "--seeds", "0,4", "--out", folder)
+    assert swept.returncode == 0, swept.stderr
+    assert "seed 4: done" in swept.stdout
+    assert "episode_return" in swept.stdout
+    (folder / "seed-4" / "policy.safetensors").unlink()
+    record = folder / "seed-4" / "run.json"
+    record.write_text(record.read_text().replace('"finished": true', '"finished": false'))
+    resumed = recipe("train.py", "resume", folder)
+    assert resumed.returncode == 0, resumed.stderr
+    assert resumed.stdout.startswith("seed 4: done")
+    assert load_policy(folder / "seed-4").spec.arena.num_agents == 2
+
+
 def test_demo_makes_table_figure_and_animation(tmp_path):
     folder = tmp_path / "demo"
     folder.mkdir()
@@ -110,7 +125,8 @@ def test_minimal_happo_learns_within_100_lines():
 
 
 @pytest.mark.parametrize(
-    "name", ["train.py", "evaluate.py", "replay.py", "demo.py", "minimal_happo.py"]
+    "name",
+    ["train.py", "train_ray.py", "evaluate.py", "replay.py", "demo.py", "minimal_happo.py"],
 )
 def test_help(name):
     done = recipe(name, "--help")
