@@ -68,7 +68,8 @@ class Rollouts:
             except _signs_of_death() as error:
                 self.close()
                 cause = error
-                logger.warning("%s; starting all workers again (%d)", error, restarts + 1)
+                first = str(error).partition("\n")[0]
+                logger.warning("%s; starting all workers again (%d)", first, restarts + 1)
         times = self.MAX_RESTARTS + 1
         raise WorkerError(f"workers died {times} times in a row, at last: {cause}") from cause
 

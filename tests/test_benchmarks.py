@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
-from benchmarks import environment, frontier
+from benchmarks import environment, frontier, scaling
 from benchmarks.baselines import astar_table, bfs_table
 from marl_explore.core.frontier import feature_table
 
@@ -32,3 +33,17 @@ def test_the_environment_benchmark_runs():
     rates = environment.measure(num_envs=2, repeats=1)
     assert {"ours, auto", "ours, torch", "collector", "PettingZoo-style Python"} <= set(rates)
     assert all(rate > 0 for rate in rates.values())
+
+
+def test_the_model_of_scaling_finds_its_constants():
+    batch = {w: 0.1 + 0.8 / w + 0.02 + 0.05 * w for w in (1, 2, 4)}
+    model = scaling.Model.fit(update=1.0, alone=0.9, half=0.5, collections=batch)
+    assert [model.fixed, model.divisible] == pytest.approx([0.1, 0.8])
+    assert [model.ask, model.per_worker] == pytest.approx([0.02, 0.05])
+    assert model.best_workers == 4
+    assert model.seconds(2) == pytest.approx(1 + batch[2])
+
+
+def test_the_scaling_benchmark_runs():
+    lines = scaling.main(scaling.Arguments(num_envs=8, workers=(), repeats=1))
+    assert len(lines) == 2
