@@ -18,8 +18,8 @@ from marl_explore.execution import RunConfig
 from marl_explore.files import whole_file
 from marl_explore.loggers import require_logger
 from marl_explore.policies import Policy, save_policy
-from marl_explore.session import carry_out, versions
 from marl_explore.trainer import Trainer
+from marl_explore.training_run import carry_out, versions
 from marl_explore.validation import Validation
 
 CONFIG_FILE, RECORD_FILE = "config.json", "run.json"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from torchrl.record.loggers.csv import CSVExperiment
 
-from marl_explore import checkpoint, files, runs, session, trainer, validation
+from marl_explore import checkpoint, files, runs, trainer, training_run, validation
 from marl_explore.config import ArenaConfig, TrainConfig
 from marl_explore.execution import RunConfig
 
@@ -36,7 +36,7 @@ MOMENTS = {
     "in an update": (trainer.Trainer, "_step"),
     "logging": (CSVExperiment, "add_scalar"),
     "validating": (validation, "evaluate"),
-    "before a checkpoint": (session, "write_checkpoint"),
+    "before a checkpoint": (training_run, "write_checkpoint"),
     "writing a checkpoint": (checkpoint, "save_file"),
     "putting a file in its place": (files.os, "replace"),
     "removing a checkpoint": (checkpoint.Path, "unlink"),

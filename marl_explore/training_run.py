@@ -1,4 +1,4 @@
-"""One session of a run: from where it is to its end, to a signal, or to what stops it."""
+"""One stretch of a run: from where it is to its end, to a signal, or to what stops it."""
 
 from __future__ import annotations
 
