@@ -149,7 +149,7 @@ def _run_all(folder: Path, seeds: Sequence[int], jobs: int) -> list[int]:
                     del running[seed]
                     print(f"seed {seed}: {'failed' if process.exitcode else 'done'}", flush=True)
                     failed += [seed] if process.exitcode else []
-    return failed
+    return sorted(failed)
 
 
 def _start(folder: Path) -> BaseProcess:
