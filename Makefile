@@ -51,7 +51,7 @@ $(VENV)/installed-dev: $(VENV)/installed
 	touch $@
 
 $(VENV)/installed-extras: $(VENV)/installed-dev
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser]"
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser,ray,tensorboard,wandb,mlflow]"
 	touch $@
 
 clean:

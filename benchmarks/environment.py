@@ -6,6 +6,7 @@ python -m benchmarks.environment
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import cycle
 
 import torch
@@ -14,7 +15,9 @@ from benchmarks.baselines import PythonExploration
 from benchmarks.timing import medians
 from marl_explore import ArenaConfig, make_env
 from marl_explore.collect import make_collector
+from marl_explore.config import TrainConfig
 from marl_explore.planners import PLANNERS
+from marl_explore.trainer import make_training_env
 
 ROBOTS = 4
 EPISODE = 200
@@ -44,10 +47,10 @@ def collector_step(num_envs: int, steps: int):
     """A batch of a TorchRL collector with the random walk as its policy."""
     config = ArenaConfig(num_agents=ROBOTS)
     collector = make_collector(
-        lambda: make_env(config, num_envs, max_steps=EPISODE),
+        partial(make_training_env, TrainConfig(config, episode_steps=EPISODE)),
         PLANNERS["random"](config),
-        frames_per_batch=num_envs * steps,
-        total_frames=10**12,
+        num_envs=num_envs,
+        steps=steps,
     )
     batches = iter(collector)
     return lambda: next(batches)

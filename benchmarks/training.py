@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -65,12 +65,11 @@ class Iteration:
 
     def __init__(self, config: TrainConfig) -> None:
         self.trainer = Trainer(config)
-        self.batches: Iterator = iter(self.trainer.collector)
         self.seconds: dict[str, list[float]] = {"collection": [], "update": []}
 
     def __call__(self) -> None:
         start = time.perf_counter()
-        batch = self.trainer.collect(self.batches)
+        batch = self.trainer.collect()
         collected = time.perf_counter()
         self.trainer.update(batch)
         self.seconds["collection"].append(collected - start)
@@ -79,7 +78,7 @@ class Iteration:
     def acting(self) -> Callable[[], object]:
         """The actors' networks alone, as often as one iteration needs them."""
         config = self.trainer.config
-        observation = next(self.batches)[:, 0]
+        observation = self.trainer.collect()[:, 0]
         inputs = [observation[key].contiguous() for key in OBSERVATION_KEYS]
 
         @torch.no_grad()
@@ -106,7 +105,7 @@ def measure(preset: str, repeats: int = 7, **changes: object) -> dict[str, float
     for part, values in iteration.seconds.items():
         seconds[part] = statistics.median(values[1:])
     seconds["environment and TorchRL"] = seconds["collection"] - seconds["networks while acting"]
-    iteration.trainer.collector.shutdown()
+    iteration.trainer.rollouts.close()
     return seconds
 
 

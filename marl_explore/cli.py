@@ -10,6 +10,7 @@ from typing import TypeVar
 import tyro
 
 from marl_explore.config import ArenaConfig
+from marl_explore.interrupts import RunInterruptedError
 
 Arguments = TypeVar("Arguments")
 
@@ -54,10 +55,13 @@ def _trained_on(word: str) -> tuple[ArenaConfig, str] | None:
 
 
 def main(parse: Callable[[], Arguments], run: Callable[[Arguments], None]) -> None:
-    """Parse and run; wrong input ends the program with one line and exit status 1."""
+    """Parse and run; what goes wrong ends the program with one line and exit status 1."""
     try:
         run(parse())
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
+    except RunInterruptedError as interrupted:
+        print(interrupted, file=sys.stderr)
+        sys.exit(interrupted.status)
     except KeyboardInterrupt:
         sys.exit("interrupted")

@@ -1,36 +1,196 @@
-"""From an environment and a policy to a TorchRL collector."""
+"""From settings to a TorchRL collector: in this process, in worker processes, or in Ray's."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, Protocol
 
+import torch
+from safetensors.torch import load, save
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import Collector
+from torch import Tensor
+from torchrl.collectors import BaseCollector, Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
+from torchrl.weight_update import SharedMemWeightSyncScheme
+
+from marl_explore.core.hashing import stream_seed
+from marl_explore.execution import RunConfig
+from marl_explore.interrupts import detach
+from marl_explore.team import TeamActor
+
+
+class CreateEnv(Protocol):
+    """Makes a part of all arenas: ``num_envs`` of them from number ``first_arena`` on."""
+
+    def __call__(self, *, num_envs: int, first_arena: int) -> EnvBase:
+        """A batched environment around an ``ExplorationEnv``, with "episode_reward"."""
+
+
+class ResumableCollector(Collector):
+    """A collector whose state holds what TorchRL's leaves out, so that it goes on exactly.
+
+    ``state_dict`` has the arenas under way, the returns so far, and the random generator that
+    actions are drawn from; ``load_state_dict`` puts all of them back.
+    """
+
+    _returns: Tensor | None = None
+
+    def rollout(self) -> TensorDictBase:
+        """The next batch [B, T], the actors of a team run as one network."""
+        team = isinstance(self.policy, TeamActor)
+        with self.policy.stacked.together() if team else nullcontext():
+            batch = super().rollout()
+        last = batch["next"][:, -1]
+        self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
+        return batch
+
+    def state_dict(self) -> dict[str, bytes]:
+        """Everything the future depends on but the policy, packed into one entry.
+
+        One entry, because between processes each tensor takes a file descriptor.
+        """
+        state: dict[str, Any] = self.env.base_env.state_dict()
+        returns = self._returns
+        if returns is None:
+            returns = self.env.full_reward_spec.zero()["reward"]
+        tensors = {name: value.clone() for name, value in state.items() if name != "seed"}
+        tensors |= {"returns": returns, "random": torch.get_rng_state()}
+        return {"packed": save(tensors)}
+
+    def load_state_dict(self, state_dict: dict[str, bytes], **_: Any) -> None:
+        """Go on from a ``state_dict`` of a collector of the same arenas."""
+        tensors = load(state_dict["packed"])
+        random, returns = tensors.pop("random"), tensors.pop("returns")
+        env = self.env.base_env
+        env.load_state_dict({**tensors, "seed": env.state_dict()["seed"]})
+        observed = self.env.reset()  # of the loaded arenas
+        # and a reset of none of them, which keeps the returns it is given
+        observed.set("_reset", torch.zeros_like(returns, dtype=torch.bool))
+        self.reset(tensordict=observed.set("episode_reward", returns), set_state=False)
+        self._returns = returns
+        torch.set_rng_state(random)
+
+    def load_weights(self, packed: bytes) -> None:
+        """Act with these parameters from now on."""
+        self.policy.load_state_dict(load(packed))
 
 
 def make_collector(
-    create_env: Callable[[], EnvBase],
+    create_env: CreateEnv,
     policy: TensorDictModuleBase,
-    frames_per_batch: int,
-    total_frames: int,
-) -> Collector:
-    """A collector of rollouts [B, T] in this process.
+    num_envs: int,
+    steps: int,
+    run: RunConfig | None = None,
+    seed: int = 0,
+    first_arena: int = 0,
+) -> BaseCollector:
+    """A collector of endless rollouts.
+
+    This process uses the policy's parameters in place; workers hold copies, which
+    ``rollouts.Rollouts`` brings up to date.
 
     Args:
-        create_env: makes the batched environment.
-        policy: acts on the whole batch; its parameters are used in place, so that an update needs
-            no copy.
-        frames_per_batch: arenas times steps of one batch.
-        total_frames: arenas times steps in all.
+        create_env: makes a part of the arenas; workers must be able to import it.
+        policy: acts on a whole batch of arenas.
+        num_envs: arenas in all; the workers share their numbering.
+        steps: of every arena per batch.
+        run: which collector; default: this process.
+        seed: of the actions that workers draw; this process draws from torch's generator.
+        first_arena: number of the first arena.
+
+    Raises:
+        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
     """
-    env = create_env()
-    return Collector(
-        env,
+    run = run or RunConfig()
+    require_collector(run, num_envs)
+    options: dict[str, Any] = {
+        "trust_policy": True,  # planners have no parameters to tell their device by
+        "auto_register_policy_transforms": False,
+    }
+    if run.collector == "process":
+        env = create_env(num_envs=num_envs, first_arena=first_arena)
+        return ResumableCollector(
+            env, policy, frames_per_batch=num_envs * steps, device=env.device, **options
+        )
+    part = num_envs // run.workers
+    workers = [
+        partial(_worker_env, create_env, part, first, stream_seed(f"worker of arena {first}", seed))
+        for first in range(first_arena, first_arena + num_envs, part)
+    ]
+    options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
+    options["collector_class"] = ResumableCollector
+    if run.collector == "ray":
+        return _ray_collector(workers, policy, run, options)
+    if run.collector == "multiasync":
+        # without waiting for workers to have the weights: one that died never would
+        schemes = {"policy": SharedMemWeightSyncScheme(sync=False)}
+        return MultiAsyncCollector(workers, policy, weight_sync_schemes=schemes, **options)
+    options |= {"policy_factory": partial(_itself, policy), "weight_sync_schemes": {}}
+    return MultiSyncCollector(workers, cat_results=0, use_buffers=True, **options)
+
+
+def _ray_collector(
+    workers: Sequence[Callable[[], EnvBase]],
+    policy: TensorDictModuleBase,
+    run: RunConfig,
+    options: dict[str, Any],
+) -> BaseCollector:
+    """Actors of a Ray cluster, one CPU each; the cluster outlives the collector."""
+    import ray
+    from torchrl.collectors.distributed import RayCollector
+
+    if not ray.is_initialized():
+        cluster: dict[str, Any] = {"num_cpus": run.workers, "include_dashboard": False}
+        if run.ray_address is not None:
+            cluster = {"address": run.ray_address}
+        ray.init(log_to_driver=False, **cluster)
+    cpus = ray.cluster_resources().get("CPU", 0)
+    if cpus < run.workers:
+        raise ChildProcessError(
+            f"Ray has {cpus:g} CPUs, which is too few for workers={run.workers}"
+        )
+    own = ("trust_policy", "auto_register_policy_transforms")
+    # it misses weights that rollouts.Rollouts hands out
+    warnings.filterwarnings("ignore", "RayCollector iteration started before weight sync")
+    return RayCollector(
+        workers,
         policy,
-        frames_per_batch=frames_per_batch,
-        total_frames=total_frames,
-        device=env.device,
-        trust_policy=True,  # planners have no parameters to tell their device by
-        auto_register_policy_transforms=False,
+        sync=True,
+        postproc=lambda stacked: stacked.flatten(0, 1),  # [workers, arenas of one, T]
+        weight_sync_schemes={},
+        collector_kwargs={name: options.pop(name) for name in own},
+        remote_configs={"num_cpus": 1, "num_gpus": 0},
+        **options | {"total_frames": sys.maxsize},
     )
+
+
+def _itself(policy: TensorDictModuleBase) -> TensorDictModuleBase:
+    return policy
+
+
+def require_collector(run: RunConfig, num_envs: int) -> None:
+    """Refuse a collector that cannot be made.
+
+    Raises:
+        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
+    """
+    if num_envs % run.workers:
+        raise ValueError(
+            f"workers={run.workers} is not allowed: it must divide num_envs={num_envs}"
+        )
+    if run.collector == "ray" and find_spec("ray") is None:
+        raise ValueError("collector='ray' needs the package ray: pip install ray")
+
+
+def _worker_env(create_env: CreateEnv, num_envs: int, first_arena: int, seed: int) -> EnvBase:
+    """Called in a worker: its arenas, and its own random actions."""
+    detach()
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    return create_env(num_envs=num_envs, first_arena=first_arena)

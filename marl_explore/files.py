@@ -7,13 +7,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+UNFINISHED = ".unfinished"
+"""Ending of a file that is being written, or whose writer was killed."""
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """A temporary name to write to, which takes the place of ``path`` once all went well."""
-    unfinished = path.with_name(path.name + ".unfinished")
+    unfinished = path.with_name(path.name + UNFINISHED)
     try:
         yield unfinished
+        with unfinished.open("rb") as file:
+            os.fsync(file.fileno())  # before the new name, or a power cut leaves it empty
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)

@@ -9,20 +9,21 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from torchrl.record import CSVLogger
-from tqdm import tqdm
-
 from marl_explore.arenas import full_name
-from marl_explore.config import TrainConfig
+from marl_explore.checkpoint import CheckpointError, list_checkpoints, read_checkpoint
+from marl_explore.config import ArenaConfig, TrainConfig
+from marl_explore.execution import RunConfig
 from marl_explore.files import whole_file
+from marl_explore.loggers import require_logger
 from marl_explore.policies import Policy, save_policy
 from marl_explore.trainer import Trainer
+from marl_explore.training_run import carry_out, versions
+from marl_explore.validation import Validation
 
-PACKAGES = ("marl-explore", "torch", "torchrl", "tensordict")
+CONFIG_FILE, RECORD_FILE = "config.json", "run.json"
 
 
 def new_folder(path: str | Path) -> Path:
@@ -58,60 +59,162 @@ def provenance() -> dict[str, Any]:
     """What is needed to do a run again: command, versions and machine."""
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.argv]),
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "versions": versions(),
         "platform": platform.platform(),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
 
 
-def train(config: TrainConfig, folder: str | Path, progress: bool = True) -> Policy:
+def train(
+    config: TrainConfig,
+    folder: str | Path,
+    run: RunConfig | None = None,
+    progress: bool = True,
+) -> Policy:
     """Train a policy and keep everything about the run in a new folder.
 
-    The folder gets ``config.json``, ``run.json`` (command, versions, time), ``scalars/*.csv``
-    (update's frames, value) and ``policy.safetensors``.
+    The folder gets ``config.json`` (what is learned), ``run.json`` (how it was carried out: every
+    start with command and versions, time), ``scalars/*.csv`` (frames, value),
+    ``checkpoints/``, ``best.safetensors`` and, at the end, ``policy.safetensors``.
 
     Args:
         config: the run.
         folder: must not exist, or be empty.
+        run: how it is carried out.
         progress: whether to show a progress bar.
 
     Raises:
         ValueError: before anything is written, when the folder is in use.
+        RunInterruptedError: after a SIGINT or SIGTERM, once update and checkpoint are done.
+        NonFiniteError, WorkerError: when the run cannot go on; checkpoints are kept.
+    """
+    run = run or RunConfig()
+    config = replace(config, arenas=full_name(config.arenas))
+    trainer = make_trainer(config, run)  # wrong settings end here, before a folder is made
+    folder = prepare(config, folder, run)
+    return _carry_out(
+        trainer, Validation(config.arena, run, folder, arenas=config.arenas), progress
+    )
+
+
+def make_trainer(config: TrainConfig, run: RunConfig) -> Trainer:
+    """The trainer of a run, once everything that it needs is there.
+
+    Raises:
+        ValueError: naming the setting that does not fit, or the package that is missing.
+    """
+    require_logger(run.logger)
+    return Trainer(config, run)
+
+
+def prepare(config: TrainConfig, folder: str | Path, run: RunConfig) -> Path:
+    """A new run folder that ``resume`` starts from the beginning.
+
+    Raises:
+        ValueError: when the folder is in use.
     """
     config = replace(config, arenas=full_name(config.arenas))
-    trainer = Trainer(config)  # wrong settings end here, before a folder is made
     folder = new_folder(folder)
-    record = provenance()
-    write_json(folder / "config.json", asdict(config))
-    write_json(folder / "run.json", record)
-    logger = CSVLogger(folder.name, str(folder.parent))
-    latest: dict[str, str] = {}
-    metrics: dict[str, float] = {}
-    with tqdm(
-        total=config.updates * config.batch_frames,
-        unit=" steps",
-        disable=not progress,
-        mininterval=0.2 if sys.stderr.isatty() else 15,  # a log file wants few lines
-    ) as bar:
-        for metrics in trainer.run():
-            for name, value in metrics.items():
-                logger.log_scalar(name, value, int(metrics["frames"]))
-            latest.update(_headline(metrics))
-            bar.set_postfix(latest, refresh=False)
-            bar.update(config.batch_frames)
-    record |= {"seconds": round(metrics["seconds"], 1), "frames": metrics["frames"]}
-    save_policy(trainer.policy, folder, info={"config": asdict(config), **record})
-    write_json(folder / "run.json", record)
+    write_json(folder / CONFIG_FILE, asdict(config))
+    write_json(folder / RECORD_FILE, {"execution": asdict(run), "starts": []})
+    return folder
+
+
+def resume(folder: str | Path, from_previous: bool = False, progress: bool = True) -> Policy:
+    """Go on with a run from its last checkpoint, or from the start when there is none.
+
+    In one process the result is that of a run that never stopped, to the last bit.
+
+    Args:
+        folder: of a run that is not finished.
+        from_previous: whether to go on from the checkpoint before the last one.
+        progress: whether to show a progress bar.
+
+    Raises:
+        ValueError: when the folder is no run, the run is finished, or its checkpoint cannot be
+            used (a ``CheckpointError``).
+        RunInterruptedError, NonFiniteError, WorkerError: as for ``train``.
+    """
+    folder = Path(folder)
+    config, run = read_settings(folder)
+    if is_finished(folder):
+        raise ValueError(f"the run in {folder} is finished: there is nothing to go on with")
+    trainer, validation = (
+        make_trainer(config, run),
+        Validation(config.arena, run, folder, arenas=config.arenas),
+    )
+    path = _checkpoint_to_resume(folder, from_previous)
+    if path is not None:
+        state = _read(path)
+        _require_same(state["config"], config, path)
+        trainer.load_state_dict(state["trainer"])
+        validation.best = state["best"]
+    return _carry_out(trainer, validation, progress)
+
+
+def _validation(config: TrainConfig, run: RunConfig, folder: Path) -> Validation:
+    return Validation(config.arena, run, folder, arenas=config.arenas)
+
+
+def read_settings(folder: Path) -> tuple[TrainConfig, RunConfig]:
+    """What a run folder was made with.
+
+    Raises:
+        ValueError: when it is no run folder, or of another version of this package.
+    """
+    try:
+        fields = json.loads((folder / CONFIG_FILE).read_text())
+        fields |= {"arena": ArenaConfig(**fields["arena"]), "hidden": tuple(fields["hidden"])}
+        record = json.loads((folder / RECORD_FILE).read_text())
+        return TrainConfig(**fields), RunConfig(**record["execution"])
+    except OSError as error:
+        raise ValueError(f"{folder} is not a run folder: {error}") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{folder} is not a run folder of this version: {error!r}") from error
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether the run in a folder did all its updates."""
+    return bool(json.loads((folder / RECORD_FILE).read_text()).get("finished"))
+
+
+def _checkpoint_to_resume(folder: Path, from_previous: bool) -> Path | None:
+    paths = list_checkpoints(folder)
+    if not from_previous:
+        return paths[-1] if paths else None
+    if len(paths) < 2:
+        raise ValueError(f"{folder} has no checkpoint before the last one: {len(paths)} in all")
+    return paths[-2]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return read_checkpoint(path)
+    except CheckpointError as error:
+        others = list_checkpoints(path.parent.parent)
+        hint = f"; --from-previous True goes on from {others[-2].name}" if len(others) > 1 else ""
+        raise CheckpointError(f"{error}{hint}") from error
+
+
+def _require_same(saved: Mapping[str, Any], config: TrainConfig, path: Path) -> None:
+    now = json.loads(json.dumps(asdict(config)))
+    different = [key for key in now if saved.get(key) != now[key]]
+    if different:
+        raise CheckpointError(
+            f"{path} is of another run: "
+            + ", ".join(f"{k}={saved.get(k)!r} there, {now[k]!r} here" for k in different)
+        )
+
+
+def _carry_out(trainer: Trainer, validation: Validation, progress: bool) -> Policy:
+    """The rest of a run and its record, from where the trainer is."""
+    folder = validation.folder
+    record = json.loads((folder / RECORD_FILE).read_text())
+    record["starts"].append(provenance() | {"updates": trainer.updates})
+    write_json(folder / RECORD_FILE, record)
+    carry_out(trainer, validation, progress)
+    record |= {"seconds": round(trainer.seconds, 1), "frames": trainer.frames}
+    info = {"config": asdict(trainer.config), **record["starts"][-1], **record}
+    save_policy(trainer.policy, folder, info=info)
+    write_json(folder / RECORD_FILE, record | {"finished": True})
     return trainer.policy.eval()
-
-
-def _headline(metrics: Mapping[str, float]) -> dict[str, str]:
-    """The progress bar's numbers, as far as the update has them."""
-    columns = {
-        "return": ("episode_return", "{:.1f}"),
-        "coverage": ("final_coverage", "{:.1%}"),
-        "communicate": ("communication_share", "{:.0%}"),
-    }
-    return {
-        title: form.format(metrics[key]) for title, (key, form) in columns.items() if key in metrics
-    }

@@ -3,39 +3,46 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Mapping
 from functools import partial
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import EnvBase, RewardSum
 from torchrl.modules import PopArtValueNorm
 
-from marl_explore.collect import make_collector
+from marl_explore.collect import make_collector, require_collector
 from marl_explore.config import TrainConfig
-from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
-from marl_explore.core.mapping import known_cells, known_mask, known_targets, target_cells
+from marl_explore.execution import RunConfig
+from marl_explore.finite import require_finite, require_finite_batch
 from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
 from marl_explore.models import make_critic
 from marl_explore.policies import Policy, PolicySpec
+from marl_explore.rollouts import Rollouts
 from marl_explore.team import probabilistic_actor
+from marl_explore.training_metrics import rollout_metrics
 
 VALUE_NORM_DECAY = 0.99
 FINAL_LR_SHARE = 0.05
 
 
-def make_training_env(config: TrainConfig) -> EnvBase:
-    """The environment a run is trained on, with episode returns summed up."""
+def make_training_env(
+    config: TrainConfig, num_envs: int | None = None, first_arena: int = 0
+) -> EnvBase:
+    """The environment a run is trained on, or a part of it, with episode returns summed up."""
     env = make_env(
         config.arena,
-        num_envs=config.num_envs,
+        num_envs=num_envs or config.num_envs,
         reward=config.reward,
         max_steps=config.episode_steps,
         terminate_at_coverage=config.terminate_at_coverage,
         arenas=config.arenas,
         seed=config.seed,
+        first_arena=first_arena,
         fpr=config.fpr,
     )
     env.append_transform(RewardSum())
@@ -43,15 +50,21 @@ def make_training_env(config: TrainConfig) -> EnvBase:
 
 
 class Trainer:
-    """One training run: networks, loss, optimisers and collector, and the loop over updates.
+    """One training run: networks, loss, optimisers and rollouts, and the loop over updates.
 
-    The run is a pure function of its configuration: the global random state is seeded by it.
+    In one process the run is a pure function of its configuration, to the last bit, also when it
+    is cut in two by ``state_dict`` and ``load_state_dict``: the global random state is seeded by
+    it.
 
     Args:
         config: the run.
+        run: how it is carried out; of this only the collector matters here.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, run: RunConfig | None = None) -> None:
+        run = run or RunConfig()
+        require_collector(run, config.num_envs)
+        make_training_env(config, num_envs=1).reset()  # what is wrong shows here, not in a worker
         torch.manual_seed(config.seed)
         self.config = config
         spec = PolicySpec(
@@ -61,16 +74,7 @@ class Trainer:
         critic = make_critic(
             config.arena, config.architecture, config.hidden, config.critic_reads, config.norm_last
         )
-        names = [f"robot_{i}" for i in range(config.arena.num_agents)]
-        self.loss = HAPPOLoss(
-            {n: probabilistic_actor(a) for n, a in zip(names, self.policy.actors, strict=True)},
-            critic,
-            views={name: ("agents", i) for i, name in enumerate(names)},
-            clip_epsilon=config.clip_epsilon,
-            entropy_coeff=config.entropy_coeff,
-            value_norm=PopArtValueNorm(beta=VALUE_NORM_DECAY) if config.value_norm else None,
-        )
-        self.loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda)
+        self.loss = self._make_loss(critic)
         self.optimizers = {
             name: _adam(loss, config.actor_lr, config.adam_eps)
             for name, loss in self.loss.actor_losses.items()
@@ -85,31 +89,101 @@ class Trainer:
             for network in (*self.policy.actors, critic.module):
                 network.compile()
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.collector = make_collector(
-            partial(make_training_env, config),
+        self.updates, self.seconds = 0, 0.0
+        self.rollouts = Rollouts(
+            partial(
+                make_collector,
+                partial(make_training_env, config),
+                self.policy.team,
+                num_envs=config.num_envs,
+                steps=config.rollout_steps,
+                run=run,
+                seed=config.seed,
+            ),
             self.policy.team,
-            frames_per_batch=config.batch_frames,
-            total_frames=config.updates * config.batch_frames,
+            run,
+            config.num_envs,
         )
 
-    def run(self) -> Iterator[dict[str, float]]:
-        """Train, yielding the metrics of every update (see docs/metrics.md)."""
-        start, frames = time.perf_counter(), 0
-        try:
-            batches = iter(self.collector)
-            for _ in range(self.config.updates):
-                batch = self.collect(batches)
-                frames += batch.numel()
-                metrics = rollout_metrics(batch) | self.update(batch)
-                seconds = time.perf_counter() - start
-                yield {"frames": frames, "seconds": seconds, "rate": frames / seconds, **metrics}
-        finally:
-            self.collector.shutdown()
+    def _make_loss(self, critic: TensorDictModule) -> HAPPOLoss:
+        config = self.config
+        names = [f"robot_{i}" for i in range(config.arena.num_agents)]
+        loss = HAPPOLoss(
+            {n: probabilistic_actor(a) for n, a in zip(names, self.policy.actors, strict=True)},
+            critic,
+            views={name: ("agents", i) for i, name in enumerate(names)},
+            clip_epsilon=config.clip_epsilon,
+            entropy_coeff=config.entropy_coeff,
+            value_norm=PopArtValueNorm(beta=VALUE_NORM_DECAY) if config.value_norm else None,
+        )
+        loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda)
+        return loss
 
-    def collect(self, batches: Iterator[TensorDictBase]) -> TensorDictBase:
-        """The collector's next rollout [B, T], the actors run as one network."""
-        with self.policy.team.stacked.together():
-            return next(batches)
+    @property
+    def frames(self) -> int:
+        """Steps of single arenas so far."""
+        return self.updates * self.config.batch_frames
+
+    def run(self) -> Generator[dict[str, float]]:
+        """Train from where the run is, yielding the metrics of every update (docs/metrics.md).
+
+        Raises:
+            NonFiniteError: when an observation, loss, gradient or parameter is not finite; the
+                update is not counted.
+            WorkerError: when workers died again and again; the run is as after the last update.
+        """
+        start = time.perf_counter() - self.seconds
+        try:
+            while self.updates < self.config.updates:
+                batch = self.collect()
+                metrics = rollout_metrics(batch) | self.update(batch)
+                self.updates += 1
+                self.seconds = time.perf_counter() - start
+                yield {
+                    "frames": self.frames,
+                    "seconds": self.seconds,
+                    "rate": self.frames / self.seconds,
+                    **metrics,
+                }
+        finally:
+            self.rollouts.close()
+
+    def collect(self) -> TensorDictBase:
+        """The next rollout [B, T]."""
+        batch = self.rollouts.next()
+        require_finite_batch(batch, self.updates + 1)
+        return batch
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything the rest of the run depends on, between two updates."""
+        return {
+            "updates": self.updates,
+            "seconds": self.seconds,
+            "loss": self.loss.state_dict(),
+            "optimizers": {name: opt.state_dict() for name, opt in self.optimizers.items()},
+            "schedulers": [scheduler.state_dict() for scheduler in self.schedulers],
+            "generator": self.generator.get_state(),
+            "rollouts": self.rollouts.state(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state_dict`` of the same configuration, before ``run``.
+
+        Raises:
+            ValueError: when the state is of another configuration or number of workers.
+        """
+        try:
+            self.loss.load_state_dict(state["loss"])
+            for name, optimizer in self.optimizers.items():
+                optimizer.load_state_dict(state["optimizers"][name])
+            for scheduler, saved in zip(self.schedulers, state["schedulers"], strict=True):
+                scheduler.load_state_dict(saved)
+            self.generator.set_state(state["generator"])
+            self.updates, self.seconds = state["updates"], state["seconds"]
+            self.rollouts.load(state["rollouts"], done=self.updates)
+        except (KeyError, RuntimeError) as error:
+            first = str(error).split("\n\t")[:2][-1]  # torch lists all that differ
+            raise ValueError(f"the state does not fit this run: {first}") from error
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """One HAPPO update on a rollout [B, T]: every actor in turn, then the critic."""
@@ -119,6 +193,8 @@ class Trainer:
 
     def _update(self, batch: TensorDictBase) -> dict[str, float]:
         batch = self.loss.estimate_advantage(batch).reshape(-1)
+        learned = ((key, batch[key]) for key in ("advantage", "value_target"))
+        require_finite(learned, self.updates + 1, "critic")
         logs: dict[str, list[float]] = {}
         order = self.loss.update_order(self.generator)
         for previous, name in zip([None, *order], order, strict=False):
@@ -126,14 +202,15 @@ class Trainer:
                 self.loss.update_factor(batch, previous)
             for part in self._minibatches(batch, self.loss.actor_keys(name)):
                 output = self.loss.actor_loss(part, name)
-                self._step(name, output["loss_objective"] + output["loss_entropy"])
+                self._step(name, output.select("loss_objective", "loss_entropy"))
             _log(logs, output, ("entropy", "kl_approx", "clip_fraction"))
         for part in self._minibatches(batch, self.loss.critic_keys):
             output = self.loss.critic_loss(part)
-            self._step("critic", output["loss_critic"])
+            self._step("critic", output.select("loss_critic"))
         _log(logs, output, ("loss_critic", "explained_variance"))
         for scheduler in self.schedulers:
             scheduler.step()
+        require_finite(self.loss.state_dict().items(), self.updates + 1, "after the update")
         factor = batch.get("factor", torch.ones(1))  # one robot has none
         return {key: sum(values) / len(values) for key, values in logs.items()} | {
             "factor_min": float(factor.min()),
@@ -154,40 +231,20 @@ class Trainer:
             for rows in order.tensor_split(self.config.minibatches):
                 yield batch[rows]
 
-    def _step(self, name: str, loss: torch.Tensor) -> None:
+    def _step(self, name: str, losses: TensorDictBase) -> None:
+        require_finite(losses.items(), self.updates + 1, name)
         optimizer = self.optimizers[name]
         optimizer.zero_grad()
-        loss.backward()
+        sum(losses.values()).backward()
         parameters = optimizer.param_groups[0]["params"]
-        nn.utils.clip_grad_norm_(parameters, self.config.max_grad_norm)
+        norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+        if not norm.isfinite():
+            named = self.loss.named_parameters()
+            gradients = [(f"the gradient of {key}", p.grad) for key, p in named]
+            gradients.append(("the norm of all gradients", norm))
+            require_finite(gradients, self.updates + 1, name)
+        nn.utils.clip_grads_with_norm_(parameters, self.config.max_grad_norm, norm)
         optimizer.step()
-
-
-def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
-    """What a training batch [B, T] shows of the behaviour (see docs/metrics.md)."""
-    following = batch["next"]
-    agents, action = following["agents"], batch["agents", "action"]
-    communicating = action == COMMUNICATE
-    useful = communicating & (agents["received"] > 0)
-    metrics = {
-        "reward": float(following["reward"].mean()),
-        "communication_share": float(communicating.float().mean()),
-        "useful_share": float(useful.sum() / communicating.sum()),
-        "dangerous_share": float(agents["dangerous"].sum() / (action < NUM_DIRECTIONS).sum()),
-    }
-    ended = following["done"].squeeze(-1)
-    if ended.any():
-        known = known_mask(agents["map"][ended])
-        target = target_cells(following["obstacles"][ended], agents["position"][ended])
-        covered = known_targets(known, target).amax(-1) / target.flatten(-2).sum(-1)
-        ratio = known_cells(known).amax(-1) / target[0].numel()
-        metrics |= {
-            "episode_return": float(following["episode_reward"][ended].mean()),
-            "episode_steps": float(following["step_count"][ended].float().mean()),
-            "final_coverage": float(covered.mean()),
-            "final_known_ratio": float(ratio.mean()),
-        }
-    return metrics
 
 
 def _adam(network: nn.Module, lr: float, eps: float) -> torch.optim.Adam:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
-from benchmarks import curves, environment, frontier, training
+from benchmarks import curves, environment, frontier, scaling, training
 from benchmarks.baselines import astar_table, bfs_table
 from marl_explore.config import TrainConfig
 from marl_explore.core.frontier import feature_table
@@ -65,3 +66,17 @@ def test_the_bare_products_are_those_of_an_iteration():
     critics = batch * (3 * critic - 148 * 3)
     expected = acting + values + factors + actors + critics
     assert sum(n * k * m for n, k, m in training.iteration_products(config)) == expected
+
+
+def test_the_model_of_scaling_finds_its_constants():
+    batch = {w: 0.1 + 0.8 / w + 0.02 + 0.05 * w for w in (1, 2, 4)}
+    model = scaling.Model.fit(update=1.0, alone=0.9, half=0.5, collections=batch)
+    assert [model.fixed, model.divisible] == pytest.approx([0.1, 0.8])
+    assert [model.ask, model.per_worker] == pytest.approx([0.02, 0.05])
+    assert model.best_workers == 4
+    assert model.seconds(2) == pytest.approx(1 + batch[2])
+
+
+def test_the_scaling_benchmark_runs():
+    lines = scaling.main(scaling.Arguments(num_envs=8, workers=(), repeats=1))
+    assert len(lines) == 2

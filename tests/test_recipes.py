@@ -32,9 +32,12 @@ def test_train_then_evaluate(tmp_path):
     assert config["seed"] == 3
     assert config["arena"]["height"] == 6
     record = json.loads((run / "run.json").read_text())
-    assert record["versions"]["torchrl"].startswith("0.14")
-    assert "train.py fast" in record["command"]
+    (start,) = record["starts"]
+    assert start["versions"]["torchrl"].startswith("0.14")
+    assert "train.py fast" in start["command"]
+    assert record["execution"]["collector"] == "process"
     assert record["frames"] == 160
+    assert record["finished"]
     rewards = list(csv.reader((run / "scalars" / "reward.csv").read_text().splitlines()))
     assert [int(frames) for frames, _ in rewards] == [80, 160]
     assert load_policy(run).spec.arena.num_agents == 2
@@ -75,6 +78,21 @@ def test_train_and_evaluate_on_a_suite(tmp_path):
     assert settings["named"]["arenas"] == "open-24-v1"
     assert settings["named"]["arena"]["obstacle_density"] == 0.1
     assert settings["named"]["arena"]["num_agents"] == 2  # the policy's
+
+
+def test_a_sweep_is_gone_on_with_by_the_same_command_as_a_run(tmp_path):
+    folder = tmp_path / "sweep"
+    swept = recipe("train.py", "fast", *TINY, "--seeds", "0,4", "--out", folder)
+    assert swept.returncode == 0, swept.stderr
+    assert "seed 4: done" in swept.stdout
+    assert "episode_return" in swept.stdout
+    (folder / "seed-4" / "policy.safetensors").unlink()
+    record = folder / "seed-4" / "run.json"
+    record.write_text(record.read_text().replace('"finished": true', '"finished": false'))
+    resumed = recipe("train.py", "resume", folder)
+    assert resumed.returncode == 0, resumed.stderr
+    assert resumed.stdout.startswith("seed 4: done")
+    assert load_policy(folder / "seed-4").spec.arena.num_agents == 2
 
 
 def test_demo_makes_table_figure_and_animation(tmp_path):
@@ -175,6 +193,7 @@ def test_minimal_happo_learns_within_100_lines():
     "name",
     [
         "train.py",
+        "train_ray.py",
         "evaluate.py",
         "replay.py",
         "demo.py",
@@ -212,6 +231,11 @@ def test_help(name):
         (["leaderboard.py", "random", "--suites", "rooms"], "arenas='rooms' is unknown"),
         (["leaderboard.py", "random", "--num-arenas", "0"], "num_arenas=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
+        (["train.py", "fast", "--workers", "2"], "workers=2 is not allowed with collector='pr"),
+        (["train.py", "fast", "--collector", "multisync", "--workers", "5"], "workers=5"),
+        (["train.py", "fast", "--seeds", "4-"], "seeds='4-' is not allowed"),
+        (["train.py", "fast", "--jobs", "0"], "jobs=0"),
+        (["train.py", "resume", "nowhere"], "nowhere is not a run folder"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
         (["demo.py", "--episodes", "1"], "episodes=1"),
     ],

@@ -1,0 +1,56 @@
+"""Stops a run at the first number that is not finite, and says which it was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+
+
+class NonFiniteError(FloatingPointError):
+    """A tensor of a training run holds NaN or infinity; the message names update and tensor."""
+
+
+def require_finite_batch(batch: TensorDictBase, update: int) -> None:
+    """Refuse a rollout [B, T] with a number that is not finite.
+
+    Raises:
+        NonFiniteError: naming update, entry and, for entries [B, T, N, ...] of the group
+            "agents", the robots.
+    """
+    for key, value in batch.items(include_nested=True, leaves_only=True):
+        if value.is_floating_point() and not value.isfinite().all():
+            robots = ""
+            if "agents" in key:
+                wrong = ~value.isfinite().flatten(3) if value.ndim > 3 else ~value.isfinite()
+                rows = wrong.movedim(2, 0).flatten(1).any(1).nonzero().flatten()
+                robots = " of " + ", ".join(f"robot_{i}" for i in rows.tolist())
+            raise NonFiniteError(f"update {update}: {_name(key)}{robots} {_what(value)}")
+
+
+def require_finite(tensors: Iterable[tuple[str, Tensor | None]], update: int, where: str) -> None:
+    """Refuse tensors with a number that is not finite.
+
+    Args:
+        tensors: names and tensors; None is skipped.
+        update: number of the update, from 1.
+        where: whose tensors they are, such as "robot_1".
+
+    Raises:
+        NonFiniteError: naming all of these.
+    """
+    for name, value in tensors:
+        if value is not None and not value.isfinite().all():
+            raise NonFiniteError(f"update {update}, {where}: {name} {_what(value)}")
+
+
+def _name(key: NestedKey) -> str:
+    return key if isinstance(key, str) else ", ".join(map(str, key))
+
+
+def _what(value: Tensor) -> str:
+    number, size = int((~value.isfinite()).sum()), value.numel()
+    kind = "NaN" if torch.isnan(value).any() else "infinite"
+    return f"is {kind}" if size == 1 else f"is not finite: {number} of {size} numbers ({kind})"

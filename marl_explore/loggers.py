@@ -1,0 +1,91 @@
+"""Where the metrics of a run go: CSV files, and by name one of TorchRL's other loggers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from torchrl.record.loggers import Logger, MLFlowLogger
+from torchrl.record.loggers.utils import get_logger
+
+from marl_explore.execution import LoggerName
+from marl_explore.files import whole_file
+
+PACKAGES: dict[str, tuple[str, ...]] = {
+    "tensorboard": ("tensorboard",),
+    "wandb": ("wandb",),
+    "mlflow": ("mlflow", "omegaconf"),
+}
+"""What a logger needs beside this package's dependencies."""
+PROJECT = "marl_explore"
+
+
+def require_logger(name: LoggerName) -> None:
+    """Refuse a logger whose package is missing.
+
+    Raises:
+        ValueError: naming the package to install.
+    """
+    missing = [package for package in PACKAGES.get(name, ()) if find_spec(package) is None]
+    if missing:
+        packages = " ".join(missing)
+        raise ValueError(f"logger={name!r} needs {packages}: pip install {packages}")
+
+
+class Loggers:
+    """Writes every metric to ``scalars/NAME.csv`` of a run folder, and to another logger.
+
+    Args:
+        name: "csv" for no other, "tensorboard", "wandb" or "mlflow".
+        folder: of the run.
+        settings: of the run, nested; logged as hyper-parameters.
+        frames: steps of single arenas already done. Rows of CSV files after them are dropped:
+            they are of updates that were lost and come again.
+    """
+
+    def __init__(
+        self, name: LoggerName, folder: Path, settings: Mapping[str, Any], frames: int
+    ) -> None:
+        for file in (folder / "scalars").glob("*.csv"):
+            _rewind(file, frames)
+        self._loggers = [_open("csv", folder)]
+        if name != "csv":
+            self._loggers.append(_open(name, folder))
+        for logger in self._loggers:
+            logger.log_hparams(_flat(settings))
+
+    def log(self, metrics: Mapping[str, float], frames: int) -> None:
+        """Write the metrics of an update."""
+        for logger in self._loggers:
+            for name, value in metrics.items():
+                logger.log_scalar(name, value, frames)
+
+
+def _open(name: str, folder: Path) -> Logger:
+    if name == "mlflow":  # get_logger asks for files, which MLflow has given up
+        default = f"sqlite:///{folder.absolute()}/mlflow.db"
+        return MLFlowLogger(folder.name, os.environ.get("MLFLOW_TRACKING_URI", default))
+    place = folder if name == "wandb" else folder.parent  # the others add the run's name
+    return get_logger(name, str(place), folder.name, wandb_kwargs={"project": PROJECT})
+
+
+def _rewind(file: Path, frames: int) -> None:
+    rows = file.read_text().splitlines(keepends=True)
+    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= frames]
+    if len(kept) < len(rows):
+        with whole_file(file) as unfinished:
+            unfinished.write_text("".join(kept))
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            scalar = isinstance(value, (bool, int, float, str))
+            flat[prefix + key] = value if scalar else str(value)
+    return flat

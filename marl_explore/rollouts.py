@@ -1,0 +1,129 @@
+"""Batches one after the other, whoever collects them; workers that die are replaced."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from safetensors.torch import load, save
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.collectors import BaseCollector
+
+from marl_explore.execution import RunConfig
+
+logger = logging.getLogger(__name__)
+
+ArenaStates = dict[str, Tensor]
+
+
+class WorkerError(ChildProcessError):
+    """Workers died again and again; the arenas of the last whole batch are not lost."""
+
+
+class Rollouts:
+    """Batches [B, T] one after the other, whoever collects them.
+
+    Workers that die are replaced: all of them start again with the arenas and the random
+    generators they had before the batch, so that the same batch is collected. Only those of
+    "multiasync", who are always under way, start with new arenas.
+
+    Args:
+        start: makes the collector, given ``first_arena``.
+        policy: whose parameters workers get before every batch.
+        run: which collector it is.
+        num_envs: arenas in all.
+    """
+
+    MAX_RESTARTS = 3
+
+    def __init__(
+        self,
+        start: Callable[..., BaseCollector],
+        policy: TensorDictModuleBase,
+        run: RunConfig,
+        num_envs: int,
+    ) -> None:
+        self._start, self._policy = start, policy
+        self._kind, self._workers, self._num_envs = run.collector, run.workers, num_envs
+        self._collector: BaseCollector | None = None
+        self._states: list[Any] | None = None
+        self._done = 0
+
+    def next(self) -> TensorDictBase:
+        """The next batch.
+
+        Raises:
+            WorkerError: when workers died once more after ``MAX_RESTARTS`` restarts.
+        """
+        if self._kind == "process":
+            return self._collect()
+        for restarts in range(self.MAX_RESTARTS + 1):
+            try:
+                return self._collect()
+            except _signs_of_death() as error:
+                self.close()
+                cause = error
+                first = str(error).partition("\n")[0]
+                logger.warning("%s; starting all workers again (%d)", first, restarts + 1)
+        times = self.MAX_RESTARTS + 1
+        raise WorkerError(f"workers died {times} times in a row, at last: {cause}") from cause
+
+    def _collect(self) -> TensorDictBase:
+        if self._collector is None:
+            lost = self._done if self._kind == "multiasync" else 0
+            self._collector = self._start(first_arena=lost * self._num_envs)
+            if self._states is not None:
+                self._collector.map_fn("load_state_dict", [(state,) for state in self._states])
+            self._batches = iter(self._collector)
+        in_step = self._kind in ("multisync", "ray")
+        if in_step:  # not by TorchRL's schemes, which wait for ever for a worker that died
+            weights = save(self._policy.state_dict())
+            self._collector.map_fn("load_weights", [(weights,)] * self._workers)
+        elif self._kind == "multiasync":
+            self._collector.update_policy_weights_()
+        batch = next(self._batches)
+        if in_step:
+            self._states = self._collector.map_fn("state_dict")
+        self._done += 1
+        return batch
+
+    def state(self) -> list[ArenaStates]:
+        """Per worker what its next batch depends on; empty where that cannot be told."""
+        if self._kind == "process" and self._collector is not None:
+            self._states = self._collector.map_fn("state_dict")
+        return [load(state["packed"]) for state in self._states or ()]
+
+    def load(self, states: list[ArenaStates], done: int) -> None:
+        """Go on from a ``state``; to be called before the first batch.
+
+        Args:
+            states: of the same number of workers.
+            done: batches that were collected before.
+
+        Raises:
+            ValueError: for another number of workers.
+        """
+        if len(states) not in (0, self._workers):
+            raise ValueError(
+                f"workers={self._workers} is not allowed: the state is of {len(states)}"
+            )
+        self._states = [{"packed": save(state)} for state in states] or None
+        self._done = done
+
+    def close(self) -> None:
+        """End the workers."""
+        if self._collector is not None:
+            with suppress(Exception):  # of workers that are dead already
+                self._collector.shutdown()
+            self._collector = None
+
+
+def _signs_of_death() -> tuple[type[BaseException], ...]:
+    """What TorchRL raises when it misses a worker: of Ray, or of a pipe."""
+    ray = (sys.modules["ray"].exceptions.RayError,) if "ray" in sys.modules else ()
+    return (RuntimeError, EOFError, OSError, *ray)

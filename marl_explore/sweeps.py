@@ -1,0 +1,194 @@
+"""One experiment under several seeds: runs side by side, and what they have in common."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import os
+import sys
+import traceback
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from multiprocessing import get_context
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from marl_explore import runs
+from marl_explore.config import TrainConfig
+from marl_explore.execution import RunConfig
+from marl_explore.interrupts import RunInterruptedError, deferred, detach
+
+RECORD_FILE, SUMMARY_FILE = "sweep.json", "summary.json"
+LAST_SHARE = 0.1
+MAIN_METRICS = (
+    "validation_steps_to_95",
+    "validation_steps_to_100",
+    "validation_complete",
+    "episode_return",
+    "final_coverage",
+    "communication_share",
+)
+"""What the printed table shows; the file holds every metric."""
+
+Summary = dict[str, dict[str, float]]
+
+
+def sweep(
+    config: TrainConfig,
+    folder: str | Path,
+    seeds: Sequence[int],
+    run: RunConfig | None = None,
+    jobs: int | None = None,
+) -> Summary:
+    """Train once per seed, in run folders ``seed-0``, ... of a new folder.
+
+    Args:
+        config: of every run, but for the seed.
+        folder: must not exist, or be empty.
+        seeds: of the runs.
+        run: how every run is carried out.
+        jobs: runs side by side; default: as many as there are cores for.
+
+    Returns:
+        ``summarize_seeds``; also written to ``summary.json``.
+
+    Raises:
+        ValueError: before anything is written, when the folder is in use.
+        RunInterruptedError: after a SIGINT or SIGTERM, once every run has kept a checkpoint.
+        ChildProcessError: when a run failed; it names the seeds and their logs.
+    """
+    run = run or RunConfig()
+    runs.make_trainer(config, run)  # wrong settings end here, before a folder is made
+    folder = runs.new_folder(folder)
+    record = {"seeds": list(seeds), "jobs": jobs, "starts": []}
+    runs.write_json(folder / RECORD_FILE, record)
+    for seed in seeds:
+        runs.prepare(replace(config, seed=seed), folder / _name(seed), run)
+    return resume_sweep(folder)
+
+
+def is_sweep(folder: str | Path) -> bool:
+    """Whether a folder was made by ``sweep``."""
+    return (Path(folder) / RECORD_FILE).is_file()
+
+
+def resume_sweep(folder: str | Path) -> Summary:
+    """Go on with every run of a sweep that is not finished; else as ``sweep``."""
+    folder = Path(folder)
+    record = json.loads((folder / RECORD_FILE).read_text())
+    record["starts"].append(runs.provenance())
+    runs.write_json(folder / RECORD_FILE, record)
+    seeds = record["seeds"]
+    waiting = [seed for seed in seeds if not runs.is_finished(folder / _name(seed))]
+    _, run = runs.read_settings(folder / _name(seeds[0]))
+    failed = _run_all(folder, waiting, record["jobs"] or _jobs(run))
+    how = f"go on with: python recipes/train.py resume {folder}"
+    if failed:
+        logs = ", ".join(str(folder / f"{_name(seed)}.log") for seed in failed)
+        raise ChildProcessError(f"seeds {failed} failed, see {logs}; {how}")
+    summary = summarize_seeds(folder, seeds)
+    runs.write_json(folder / SUMMARY_FILE, summary)
+    return summary
+
+
+def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
+    """Per metric the mean, smallest and largest value over seeds.
+
+    The value of a run is the mean over the last tenth of its updates that have the metric.
+    """
+    values: dict[str, list[float]] = {}
+    for seed in seeds:
+        for file in sorted((folder / _name(seed) / "scalars").glob("*.csv")):
+            rows = [float(value) for _, value in csv.reader(file.read_text().splitlines())]
+            last = rows[-max(1, round(LAST_SHARE * len(rows))) :]
+            values.setdefault(file.stem, []).append(float(np.mean(last)))
+    return {name: interval(of_seeds) for name, of_seeds in values.items()}
+
+
+def interval(values: Sequence[float]) -> dict[str, float]:
+    """What is told of one metric's values over seeds."""
+    return {
+        "mean": float(np.mean(values)),
+        "min": float(np.min(values)),
+        "max": float(np.max(values)),
+        "seeds": len(values),
+    }
+
+
+def format_summary(summary: Mapping[str, Mapping[str, float]]) -> str:
+    """A text table of the main metrics."""
+    lines = [f"{'over seeds':>24}  {'mean':>9}  {'min':>9}  {'max':>9}"]
+    for name in MAIN_METRICS:
+        if name in summary:
+            row = "  ".join(f"{summary[name][key]:9.3f}" for key in ("mean", "min", "max"))
+            lines.append(f"{name:>24}  {row}")
+    return "\n".join(lines)
+
+
+def _run_all(folder: Path, seeds: Sequence[int], jobs: int) -> list[int]:
+    """Carry out runs side by side; the seeds that failed."""
+    waiting, failed = list(seeds), []
+    running: dict[int, BaseProcess] = {}
+    with deferred() as request:
+        while running or waiting:
+            while waiting and len(running) < jobs:
+                seed = waiting.pop(0)
+                running[seed] = _start(folder / _name(seed))
+            wait([process.sentinel for process in running.values()], timeout=0.2)
+            if request.signal is not None:
+                _stop(running.values())
+                how = f"go on with: python recipes/train.py resume {folder}"
+                raise RunInterruptedError(request.signal, how)
+            for seed, process in [*running.items()]:
+                if process.exitcode is not None:
+                    del running[seed]
+                    print(f"seed {seed}: {'failed' if process.exitcode else 'done'}", flush=True)
+                    failed += [seed] if process.exitcode else []
+    return sorted(failed)
+
+
+def _start(folder: Path) -> BaseProcess:
+    process = get_context("spawn").Process(target=_run_one, args=(folder,))
+    process.start()
+    return process
+
+
+def _stop(processes: Iterable[BaseProcess]) -> None:
+    """Have runs finish their update and keep a checkpoint."""
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join()
+
+
+def _run_one(folder: Path) -> None:
+    """One run in a process of its own, whose output goes into a log beside its folder."""
+    detach()
+    with (
+        folder.with_name(f"{folder.name}.log").open("a") as log,
+        contextlib.redirect_stdout(log),
+        contextlib.redirect_stderr(log),
+    ):
+        torch.set_num_threads(runs.read_settings(folder)[1].threads)
+        try:
+            runs.resume(folder)
+        except RunInterruptedError as interrupted:
+            print(interrupted)
+        except Exception:
+            traceback.print_exc()
+            sys.exit(1)
+
+
+def _name(seed: int) -> str:
+    return f"seed-{seed}"
+
+
+def _jobs(run: RunConfig) -> int:
+    """Runs there are cores for."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, (cores or 1) // (run.threads * run.workers))

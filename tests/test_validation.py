@@ -1,0 +1,76 @@
+"""Validation during training: fixed arenas, nothing changed by it, the best policy kept."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from marl_explore import runs, validation
+from marl_explore.evaluation import evaluate
+from marl_explore.execution import RunConfig
+from marl_explore.policies import load_policy, policy_info
+from marl_explore.trainer import Trainer
+from marl_explore.validation import Validation
+from tests.killing import CONFIG, RUN
+
+
+def test_it_measures_the_policy_on_arenas_of_its_own(tmp_path):
+    policy = Trainer(CONFIG).policy
+    validate = Validation(CONFIG.arena, RUN, tmp_path)
+    before = torch.get_rng_state()
+    one = validate(policy, 1)
+    assert torch.equal(torch.get_rng_state(), before)
+    torch.rand(3)
+    assert repr(validate(policy, 2)) == repr(one)
+    on_its_arenas, on_test = (
+        evaluate(policy, CONFIG.arena, num_arenas=4, steps=10, stream=stream)
+        for stream in ("validation", "test")
+    )
+    assert one["validation_overlap"] == pytest.approx(on_its_arenas["overlap"], abs=1e-6)
+    assert one["validation_overlap"] != on_test["overlap"]
+
+
+def test_the_best_policy_is_kept(tmp_path, monkeypatch):
+    policy = Trainer(CONFIG).policy
+    validate = Validation(CONFIG.arena, replace(RUN, select_by="steps_to_90"), tmp_path)
+    kept = []
+    for update, score in enumerate([9.0, 7.0, 8.0, 7.0, 7.5], start=1):
+        monkeypatch.setattr(validation, "evaluate", lambda *a, s=score, **k: {"steps_to_90": s})
+        assert validate(policy, update) == {"validation_steps_to_90": score}
+        kept.append(policy_info(tmp_path / "best.safetensors")["best"]["update"])
+    assert kept == [1, 2, 2, 4, 4]  # of equal ones the later
+    assert validate.best == {"update": 4, "measure": "steps_to_90", "score": 7.0}
+    assert load_policy(tmp_path / "best.safetensors").spec == policy.spec
+
+
+def test_it_changes_nothing_about_the_run(tmp_path):
+    policies = [
+        runs.train(CONFIG, tmp_path / str(every), replace(RUN, validate_every=every), False)
+        for every in (0, 1, 5)
+    ]
+    for other in policies[1:]:
+        for name, weight in policies[0].state_dict().items():
+            assert torch.equal(weight, other.state_dict()[name])
+    assert not (tmp_path / "0" / "best.safetensors").exists()
+    rows = (tmp_path / "5" / "scalars" / "validation_complete.csv").read_text().splitlines()
+    assert [int(row.split(",")[0]) for row in rows] == [100, 200, 240]  # and after the last update
+    record = json.loads((tmp_path / "5" / "run.json").read_text())
+    assert record["execution"]["validate_every"] == 5
+
+
+def test_settings_that_make_no_run_are_refused():
+    for name, value in (
+        ("select_by", "fame"),
+        ("collector", "threads"),
+        ("logger", "paper"),
+        ("validate_every", -1),
+        ("validation_arenas", 0),
+        ("keep_checkpoints", 0),
+    ):
+        with pytest.raises(ValueError, match=f"^{name}="):
+            RunConfig(**{name: value})
+    with pytest.raises(ValueError, match="ray_address='auto' needs collector='ray'"):
+        RunConfig(ray_address="auto")
