@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 ARENAS = ((12, 200), (24, 50))
 """Test arenas up to a size of side x side cells; beyond, planning takes long: 20."""
+JOINT = ("rendezvous", "central", "clairvoyant")
+"""Planners that on large arenas must be asked for by name."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Arguments:
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Planners, run folders, policy files or bundled policies; NAME=POLICY,POLICY,... makes one
-    row of several training seeds; default: all planners."""
+    row of several training seeds; default: all planners, but those that plan jointly (rendezvous,
+    central, clairvoyant) only up to 12 x 12 cells, since they take hours on larger arenas."""
     suites: tuple[str, ...] = ()
     """Suites of arenas; default: all."""
     num_arenas: int | None = None
@@ -87,13 +90,20 @@ def run(arguments: Arguments) -> None:
             seed=arguments.seed,
         )
 
-    cells = [cell(p, place) for place in suites for entry in entries for p in entry.policies]
-    results = leaderboard.make_cells(arguments.out / "cells", cells)
+    def cells(place: Suite) -> dict[str, list[Cell]]:
+        joint = arguments.policies or place.config.num_cells <= ARENAS[0][0] ** 2
+        return {
+            entry.name: [cell(policy, place) for policy in entry.policies]
+            for entry in entries
+            if joint or entry.name not in JOINT
+        }
+
+    wanted = {place.id: cells(place) for place in suites}
+    all_cells = [c for rows in wanted.values() for row in rows.values() for c in row]
+    results = leaderboard.make_cells(arguments.out / "cells", all_cells)
     boards = [
-        leaderboard.rank(
-            {entry.name: [results[cell(p, place)] for p in entry.policies] for entry in entries}
-        )
-        for place in suites
+        leaderboard.rank({name: [results[c] for c in row] for name, row in rows.items()})
+        for rows in wanted.values()
     ]
     leaderboard.write_tables(arguments.out, boards, record)
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())

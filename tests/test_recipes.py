@@ -111,7 +111,7 @@ def test_demo_makes_table_figure_and_animation(tmp_path):
     assert '"name":"nearest-timer"' in page
     assert str(Path("demo", "replay.html")) in done.stdout
     results = json.loads((folder / "results.json").read_text())["results"]
-    assert list(results) == ["learned", "random", "nearest", "nearest-timer"]
+    assert list(results) == ["learned", "random", "nearest", "nearest-timer", "utility-cost"]
 
 
 def test_replay_shows_every_policy_and_how_it_was_made(tmp_path):
