@@ -16,7 +16,7 @@ from torchrl.envs import step_mdp
 from marl_explore import tables
 from marl_explore.arenas import Generator, default_steps
 from marl_explore.config import ArenaConfig, require_integer
-from marl_explore.core.mapping import target_cells
+from marl_explore.core.mapping import known_mask, target_cells
 from marl_explore.env import ExplorationEnv
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
 from marl_explore.planners import PLANNERS
@@ -107,10 +107,11 @@ def watch(
     require_integer("arena_index", arena_index, 0)
     require_integer("steps", steps, 1)
     require_integer("seed", seed, 0)
+    shared = getattr(policy, "shares_maps", False)
     env = ExplorationEnv(
         config,
         max_steps=steps,
-        terminate_at_coverage=1.0,
+        terminate_at_coverage=None if shared else 1.0,
         arenas=arenas,
         seed=seed,
         stream=stream,
@@ -118,7 +119,16 @@ def watch(
     )
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(seed)
-        return list(play(policy, env, steps, until_done=True))
+        observations = []
+        for observation in play(policy, env, steps, until_done=True):
+            observations.append(observation)
+            if shared:
+                maps = _measured(observation, shared).contiguous()
+                observation["agents"] = observation["agents"].copy().set("map", maps)
+                target = target_cells(observation["obstacles"], observation["agents", "position"])
+                if (known_mask(maps[:, 0]) >= target).all():
+                    break
+        return observations
 
 
 def _measured(observation: TensorDictBase, shared: bool) -> Tensor:

@@ -44,8 +44,8 @@ class RunConfig:
     """Updates between validations of the policy; 0: never."""
     validation_arenas: int = 64
     """Arenas of a validation, the same in all of them and apart from training's and test's."""
-    validation_steps: int = 300
-    """Steps of an episode of a validation."""
+    validation_steps: int | None = None
+    """Steps of an episode of a validation; None: those of an evaluation on the run's arenas."""
     select_by: Selection = "steps_to_100"
     """Measure of a validation whose smallest value makes the policy the best one."""
     logger: LoggerName = "csv"
@@ -55,8 +55,9 @@ class RunConfig:
         """Refuse what cannot be."""
         for name in ("workers", "threads", "keep_checkpoints"):
             require_integer(name, getattr(self, name), 1)
-        for name in ("validation_arenas", "validation_steps"):
-            require_integer(name, getattr(self, name), 1)
+        require_integer("validation_arenas", self.validation_arenas, 1)
+        if self.validation_steps is not None:
+            require_integer("validation_steps", self.validation_steps, 1)
         for name in ("checkpoint_every", "validate_every"):
             require_integer(name, getattr(self, name), 0)
         for name, allowed in _CHOICES.items():

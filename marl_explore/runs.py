@@ -12,6 +12,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from marl_explore.arenas import full_name
 from marl_explore.checkpoint import CheckpointError, list_checkpoints, read_checkpoint
 from marl_explore.config import ArenaConfig, TrainConfig
@@ -92,18 +94,17 @@ def train(
     config = replace(config, arenas=full_name(config.arenas))
     trainer = make_trainer(config, run)  # wrong settings end here, before a folder is made
     folder = prepare(config, folder, run)
-    return _carry_out(
-        trainer, Validation(config.arena, run, folder, arenas=config.arenas), progress
-    )
+    return _carry_out(trainer, Validation(config, run, folder), progress)
 
 
 def make_trainer(config: TrainConfig, run: RunConfig) -> Trainer:
-    """The trainer of a run, once everything that it needs is there.
+    """The trainer of a run, once everything that it needs is there; sets torch's CPU threads.
 
     Raises:
         ValueError: naming the setting that does not fit, or the package that is missing.
     """
     require_logger(run.logger)
+    torch.set_num_threads(run.threads)
     return Trainer(config, run)
 
 
@@ -139,10 +140,7 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
     config, run = read_settings(folder)
     if is_finished(folder):
         raise ValueError(f"the run in {folder} is finished: there is nothing to go on with")
-    trainer, validation = (
-        make_trainer(config, run),
-        Validation(config.arena, run, folder, arenas=config.arenas),
-    )
+    trainer, validation = make_trainer(config, run), Validation(config, run, folder)
     path = _checkpoint_to_resume(folder, from_previous)
     if path is not None:
         state = _read(path)
@@ -150,10 +148,6 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
         trainer.load_state_dict(state["trainer"])
         validation.best = state["best"]
     return _carry_out(trainer, validation, progress)
-
-
-def _validation(config: TrainConfig, run: RunConfig, folder: Path) -> Validation:
-    return Validation(config.arena, run, folder, arenas=config.arenas)
 
 
 def read_settings(folder: Path) -> tuple[TrainConfig, RunConfig]:
@@ -192,7 +186,9 @@ def _read(path: Path) -> dict[str, Any]:
         return read_checkpoint(path)
     except CheckpointError as error:
         others = list_checkpoints(path.parent.parent)
-        hint = f"; --from-previous True goes on from {others[-2].name}" if len(others) > 1 else ""
+        earlier = [other for other in others if other < path]
+        last = path == others[-1] and earlier
+        hint = f"; --from-previous True goes on from {earlier[-1].name}" if last else ""
         raise CheckpointError(f"{error}{hint}") from error
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import math
 import os
 import sys
 import traceback
@@ -65,10 +66,11 @@ def sweep(
     run = run or RunConfig()
     runs.make_trainer(config, run)  # wrong settings end here, before a folder is made
     folder = runs.new_folder(folder)
-    record = {"seeds": list(seeds), "jobs": jobs, "starts": []}
-    runs.write_json(folder / RECORD_FILE, record)
     for seed in seeds:
         runs.prepare(replace(config, seed=seed), folder / _name(seed), run)
+    # last: what has this file can be gone on with
+    record = {"seeds": list(seeds), "jobs": jobs, "starts": []}
+    runs.write_json(folder / RECORD_FILE, record)
     return resume_sweep(folder)
 
 
@@ -104,9 +106,11 @@ def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
     values: dict[str, list[float]] = {}
     for seed in seeds:
         for file in sorted((folder / _name(seed) / "scalars").glob("*.csv")):
-            rows = [float(value) for _, value in csv.reader(file.read_text().splitlines())]
-            last = rows[-max(1, round(LAST_SHARE * len(rows))) :]
-            values.setdefault(file.stem, []).append(float(np.mean(last)))
+            read = (float(value) for _, value in csv.reader(file.read_text().splitlines()))
+            rows = [value for value in read if math.isfinite(value)]  # NaN: nothing to measure
+            if rows:
+                last = rows[-max(1, round(LAST_SHARE * len(rows))) :]
+                values.setdefault(file.stem, []).append(float(np.mean(last)))
     return {name: interval(of_seeds) for name, of_seeds in values.items()}
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import TrainConfig
 from marl_explore.evaluation import TABLE_COLUMNS, evaluate
 from marl_explore.execution import RunConfig
 from marl_explore.policies import Policy, save_policy
@@ -23,11 +23,10 @@ class Validation:
         best: update and score of the best policy so far; None before the first validation.
     """
 
-    arena: ArenaConfig
+    config: TrainConfig
     run: RunConfig
     folder: Path
     best: dict[str, Any] | None = None
-    arenas: str = "uniform"
 
     def due(self, update: int, last: int) -> bool:
         """Whether to validate after this update: every so often, and after the last."""
@@ -38,22 +37,29 @@ class Validation:
         """The measures of ``docs/metrics.md`` under "validation_" names.
 
         Episodes and sampled actions are the same in every validation, and the global random state
-        is left as it was: validating changes nothing about the run. Of equal scores the later
-        one is the best.
+        is left as it was: validating changes nothing about the run. Of equal scores, such as of
+        policies that complete no map, the larger final coverage decides, then the later one.
         """
         run = self.run
         with policy.team.stacked.together():
             measures = evaluate(
                 policy,
-                self.arena,
+                self.config.arena,
                 num_arenas=run.validation_arenas,
                 steps=run.validation_steps,
                 stream=STREAM,
-                arenas=self.arenas,
+                arenas=self.config.arenas,
             )
         score = measures[run.select_by]
-        if self.best is None or score <= self.best["score"]:
-            self.best = {"update": update, "measure": run.select_by, "score": score}
-            save_policy(policy, self.folder / BEST_FILE, info={"best": self.best})
+        coverage = measures["final_largest_coverage"]
+        if self.best is None or (score, -coverage) <= (self.best["score"], -self.best["coverage"]):
+            self.best = {
+                "update": update,
+                "measure": run.select_by,
+                "score": score,
+                "coverage": coverage,
+            }
+            info = {"config": asdict(self.config), "best": self.best}
+            save_policy(policy, self.folder / BEST_FILE, info=info)
         kept = {*TABLE_COLUMNS.values(), run.select_by} & set(measures)
         return {f"validation_{key}": value for key, value in measures.items() if key in kept}

@@ -95,3 +95,12 @@ def test_wrong_settings_are_refused_before_a_folder_is_made(tmp_path):
     with pytest.raises(ValueError, match="reward='fame' is unknown"):
         sweeps.sweep(replace(CONFIG, reward="fame"), tmp_path / "sweep", [0], RunConfig())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_could_not_be_measured_does_not_count(tmp_path):
+    for seed, rows in enumerate(("1,nan\n2,0.5\n", "1,nan\n2,nan\n", "1,0.25\n2,0.25\n")):
+        folder = tmp_path / f"seed-{seed}" / "scalars"
+        folder.mkdir(parents=True)
+        (folder / "useful_share.csv").write_text(rows)
+    summary = sweeps.summarize_seeds(tmp_path, [0, 1, 2])
+    assert summary == {"useful_share": {"mean": 0.375, "min": 0.25, "max": 0.5, "seeds": 2}}

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from marl_explore import runs, validation
-from marl_explore.evaluation import evaluate
+from marl_explore.arenas import suite
+from marl_explore.evaluation import evaluate, trained_on
 from marl_explore.execution import RunConfig
 from marl_explore.policies import load_policy, policy_info
 from marl_explore.trainer import Trainer
@@ -19,7 +20,7 @@ from tests.killing import CONFIG, RUN
 
 def test_it_measures_the_policy_on_arenas_of_its_own(tmp_path):
     policy = Trainer(CONFIG).policy
-    validate = Validation(CONFIG.arena, RUN, tmp_path)
+    validate = Validation(CONFIG, RUN, tmp_path)
     before = torch.get_rng_state()
     one = validate(policy, 1)
     assert torch.equal(torch.get_rng_state(), before)
@@ -35,14 +36,17 @@ def test_it_measures_the_policy_on_arenas_of_its_own(tmp_path):
 
 def test_the_best_policy_is_kept(tmp_path, monkeypatch):
     policy = Trainer(CONFIG).policy
-    validate = Validation(CONFIG.arena, replace(RUN, select_by="steps_to_90"), tmp_path)
+    validate = Validation(CONFIG, replace(RUN, select_by="steps_to_90"), tmp_path)
     kept = []
-    for update, score in enumerate([9.0, 7.0, 8.0, 7.0, 7.5], start=1):
-        monkeypatch.setattr(validation, "evaluate", lambda *a, s=score, **k: {"steps_to_90": s})
+    scores = [(9.0, 0.5), (7.0, 0.8), (8.0, 0.9), (7.0, 0.8), (7.0, 0.7), (7.5, 1.0)]
+    for update, (score, coverage) in enumerate(scores, start=1):
+        measures = {"steps_to_90": score, "final_largest_coverage": coverage}
+        monkeypatch.setattr(validation, "evaluate", lambda *a, m=measures, **k: m)
         assert validate(policy, update) == {"validation_steps_to_90": score}
         kept.append(policy_info(tmp_path / "best.safetensors")["best"]["update"])
-    assert kept == [1, 2, 2, 4, 4]  # of equal ones the later
-    assert validate.best == {"update": 4, "measure": "steps_to_90", "score": 7.0}
+    assert kept == [1, 2, 2, 4, 4, 4]  # of equal ones the later, unless it covers less
+    best = {"update": 4, "measure": "steps_to_90", "score": 7.0, "coverage": 0.8}
+    assert validate.best == best
     assert load_policy(tmp_path / "best.safetensors").spec == policy.spec
 
 
@@ -74,3 +78,10 @@ def test_settings_that_make_no_run_are_refused():
             RunConfig(**{name: value})
     with pytest.raises(ValueError, match="ray_address='auto' needs collector='ray'"):
         RunConfig(ray_address="auto")
+
+
+def test_the_best_policy_keeps_the_arenas_it_was_trained_on(tmp_path):
+    config = replace(CONFIG, arenas="corridor-24-v1", arena=suite("corridor-24").config)
+    policy = Trainer(config).policy
+    Validation(config, replace(RUN, validation_steps=2), tmp_path)(policy, 1)
+    assert trained_on(str(tmp_path / "best.safetensors"))[1] == "corridor-24-v1"

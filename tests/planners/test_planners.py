@@ -8,7 +8,7 @@ import torch
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core.grid import STAY
 from marl_explore.core.radio import in_range
-from marl_explore.evaluation import evaluate, find_policy
+from marl_explore.evaluation import evaluate, find_policy, watch
 from marl_explore.planners import PLANNERS, NearestFrontier, never
 from tests import reference
 from tests.planners.situations import on_board
@@ -94,6 +94,14 @@ def test_joint_planning_explores_as_well_as_it_should():
     assert max(clairvoyant["steps_to_100"], shared["steps_to_100"]) < 16.5
     assert shared["merged_steps_to_100"] == shared["steps_to_100"]
     assert shared["communication_share"] == 0
+
+
+def test_a_reference_is_watched_by_the_union_of_its_maps():
+    steps = watch(find_policy("central", ArenaConfig()), ArenaConfig(), steps=40)
+    assert 10 < len(steps) < 25
+    maps = steps[-1]["agents", "map"]
+    assert (maps == maps[:, :1]).all()
+    assert (steps[-2]["agents", "map"] != maps).any()
 
 
 BLIND = [
