@@ -119,16 +119,21 @@ def watch(
     )
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(seed)
-        observations = []
-        for observation in play(policy, env, steps, until_done=True):
-            observations.append(observation)
-            if shared:
-                maps = _measured(observation, shared).contiguous()
-                observation["agents"] = observation["agents"].copy().set("map", maps)
-                target = target_cells(observation["obstacles"], observation["agents", "position"])
-                if (known_mask(maps[:, 0]) >= target).all():
-                    break
-        return observations
+        episode = play(policy, env, steps, until_done=True)
+        return list(_until_shared(episode) if shared else episode)
+
+
+def _until_shared(episode: Iterator[TensorDictBase]) -> Iterator[TensorDictBase]:
+    """The observations with the union as the map of every robot, until it is complete."""
+    target: Tensor | None = None
+    for observation in episode:
+        maps = _measured(observation, shared=True).contiguous()
+        if target is None:
+            target = target_cells(observation["obstacles"], observation["agents", "position"])
+        observation["agents"] = observation["agents"].copy().set("map", maps)
+        yield observation
+        if (known_mask(maps[:, 0]) >= target).all():
+            return
 
 
 def _measured(observation: TensorDictBase, shared: bool) -> Tensor:

@@ -17,7 +17,6 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from marl_explore import runs
 from marl_explore.config import TrainConfig
@@ -178,7 +177,6 @@ def _run_one(folder: Path) -> None:
         contextlib.redirect_stdout(log),
         contextlib.redirect_stderr(log),
     ):
-        torch.set_num_threads(runs.read_settings(folder)[1].threads)
         try:
             runs.resume(folder)
         except RunInterruptedError as interrupted:

@@ -87,8 +87,6 @@ def parse(
 
 def run(arguments: Arguments) -> None:
     """Train, and say where the results are."""
-    import torch
-
     from marl_explore import runs, sweeps
 
     summary = None
@@ -97,11 +95,9 @@ def run(arguments: Arguments) -> None:
         if sweeps.is_sweep(folder):
             summary = sweeps.resume_sweep(folder)
         else:
-            torch.set_num_threads(runs.read_settings(folder)[1].threads)
             runs.resume(folder, from_previous=arguments.from_previous)
     else:
         folder = arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S")
-        torch.set_num_threads(arguments.run.threads)
         if arguments.seeds is not None:
             seeds = parse_seeds(arguments.seeds)
             summary = sweeps.sweep(arguments.train, folder, seeds, arguments.run, arguments.jobs)

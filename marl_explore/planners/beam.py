@@ -15,7 +15,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import COMPASS, NUM_DIRECTIONS, STAY, flat_cell, squares
+from marl_explore.core.grid import (
+    COMPASS,
+    NUM_DIRECTIONS,
+    STAY,
+    flat_cell,
+    squares,
+    straight_distances,
+)
 from marl_explore.core.hashing import combine
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.wavefront import all_distances
@@ -63,7 +70,7 @@ def board(height: int, width: int, radius: int, device: torch.device) -> Board:
         return torch.where(inside, flat_cell(place, width), own), inside
 
     near, inside = shifted(torch.tensor((*COMPASS, (0, 0)), device=device))
-    apart = (cells.unsqueeze(0) - cells.unsqueeze(1)).abs().amax(-1)
+    apart = straight_distances(cells, height, width).flatten(-2)
     return Board(
         near=near,
         inside=inside,
