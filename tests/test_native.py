@@ -88,7 +88,7 @@ def test_inputs_need_not_be_contiguous():
 @needs_kernel
 def test_the_operator_fits_torch():
     maps, positions = random_maps(5)
-    torch.library.opcheck(torch.ops.marl_explore.frontier_table, (maps, positions, 1))
+    torch.library.opcheck(torch.ops.marl_explore.frontier_table, (maps, positions, 1, True))
 
 
 @needs_kernel

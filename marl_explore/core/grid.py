@@ -30,9 +30,11 @@ def action_offsets(device: torch.device) -> Tensor:
 
 
 @lru_cache
-def _ring(device: torch.device) -> Tensor:
-    """Places of the eight neighbours in a flattened 3 x 3 square, in compass order, int64 [8]."""
-    return torch.tensor([3 * (1 + r) + 1 + c for r, c in COMPASS], device=device)
+def _places(radius: int, device: torch.device) -> Tensor:
+    """Where the eight moves and staying lead to in a flattened square, int64 [9]."""
+    side = 2 * radius + 1
+    cells = [(radius + r) * side + radius + c for r, c in (*COMPASS, (0, 0))]
+    return torch.tensor(cells, device=device)
 
 
 @lru_cache
@@ -44,7 +46,7 @@ def square_steps(radius: int, stride: int, device: torch.device) -> Tensor:
 
 def flat_cell(position: Tensor, stride: int) -> Tensor:
     """Place of each robot's cell [*B, N, 2] in a flattened grid with rows of ``stride`` cells."""
-    return position[..., 0] * stride + position[..., 1]
+    return torch.add(position[..., 1], position[..., 0], alpha=stride)
 
 
 @lru_cache
@@ -67,8 +69,8 @@ def other_robots(robots: int, device: torch.device) -> Tensor:
     return 1 - torch.eye(robots, dtype=torch.int64, device=device)
 
 
-OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 3
-"""What stands in a cell around a robot (int8); UNSEEN is outside the arena or hidden."""
+OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 4
+"""What stands in a cell around a robot (int8, a bit each); UNSEEN is outside or hidden."""
 
 
 def bordered(obstacles: Tensor, radius: int) -> Tensor:
@@ -89,11 +91,11 @@ def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool =
         int8 [*B, N, 2k + 1, 2k + 1], row 0 north.
     """
     side, stride = 2 * radius + 1, walls.shape[-1]
-    own = flat_cell(position + radius, stride)
+    own = flat_cell(position, stride) + radius * (stride + 1)
     occupied = walls.flatten(-2).scatter(-1, own, ROBOT)
     index = own.unsqueeze(-1) + square_steps(radius, stride, walls.device)
     view = occupied.gather(-1, index.flatten(-2)).view(*own.shape, side, side)
-    view[..., radius, radius] = OPEN
+    view[..., radius, radius].fill_(OPEN)
     if occlusion:
         wall = view == WALL
         hidden = wall[..., ::2, 1:2] & wall[..., 1:2, ::2]
@@ -101,11 +103,9 @@ def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool =
     return view
 
 
-def ring(view: Tensor) -> Tensor:
-    """The eight cells around each robot in compass order, [*B, N, 8], of ``surroundings``."""
-    radius = view.shape[-1] // 2
-    square = view[..., radius - 1 : radius + 2, radius - 1 : radius + 2].flatten(-2)
-    return square.index_select(-1, _ring(view.device))
+def beside(view: Tensor) -> Tensor:
+    """The cells that the eight moves lead to, and the own cell, [*B, N, 9] of ``surroundings``."""
+    return view.flatten(-2).index_select(-1, _places(view.shape[-1] // 2, view.device))
 
 
 def with_robots(obstacles: Tensor, position: Tensor) -> Tensor:

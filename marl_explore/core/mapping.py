@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -9,6 +10,9 @@ from torch import Tensor
 
 from marl_explore.config import TOLERANCE
 from marl_explore.core.grid import (
+    FREE,
+    NUM_DIRECTIONS,
+    STAY,
     UNKNOWN,
     UNSEEN,
     WALL,
@@ -31,6 +35,14 @@ def field_of_view(view: Tensor) -> Tensor:
     return view.clamp_max(1).float()
 
 
+def blank_maps(position: Tensor, height: int, width: int) -> Tensor:
+    """Maps that know the robots' own cells [*B, N, 2] only, int8 [*B, N, H, W]."""
+    shape = (*position.shape[:-1], height * width)
+    grid = torch.full(shape, UNKNOWN, dtype=torch.int8, device=position.device)
+    grid.scatter_(-1, flat_cell(position, width).unsqueeze(-1), FREE)
+    return grid.unflatten(-1, (height, width))
+
+
 class Sensed(NamedTuple):
     """Maps after sensing, and what was new."""
 
@@ -39,7 +51,7 @@ class Sensed(NamedTuple):
     cell: Tensor
     """Seen cells of the flattened arena, int64 [*B, N, (2k + 1)^2]."""
     fresh: Tensor
-    """1 where such a cell was unknown, else 0, int8."""
+    """Whether such a cell was unknown, bool."""
 
     @property
     def discovered(self) -> Tensor:
@@ -49,18 +61,19 @@ class Sensed(NamedTuple):
     def discovered_of(self, target: Tensor) -> Tensor:
         """New cells among those of a mask bool [*B, H, W], int64 [*B, N]."""
         chosen = target.flatten(-2).gather(-1, self.cell.flatten(-2)).view(self.cell.shape)
-        return (self.fresh * chosen).sum(-1)
+        return (self.fresh & chosen).sum(-1)
 
 
 def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False) -> Sensed:
     """Maps with what each robot sees around it written in.
 
     Args:
-        grid: maps, int8 [*B, N, H, W].
+        grid: maps that know the robots' own cells, int8 [*B, N, H, W].
         view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
         position: int64 [*B, N, 2].
         occlusion: whether cells on the grid may be hidden.
     """
+    # what cannot be seen is written as the own cell once more, which is known and no wall
     height, width = grid.shape[-2:]
     own = flat_cell(position, width)
     cells = squares(height, width, view.shape[-1] // 2, view.device)
@@ -68,18 +81,23 @@ def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False)
     cell = cells.index_select(0, own.flatten()).view(view.shape)
     if occlusion:
         cell = torch.where(view == UNSEEN, own.unsqueeze(-1), cell)
-    seen = (view != UNSEEN).to(torch.int8)
     known = grid.flatten(-2)
-    fresh = (known.gather(-1, cell) * seen).clamp_max_(0).neg_()
-    wall = (view == WALL).to(grid.dtype)
-    return Sensed(known.scatter(-1, cell, wall).view(grid.shape), cell, fresh)
+    fresh = known.gather(-1, cell) == UNKNOWN
+    return Sensed(known.scatter(-1, cell, view & WALL).view(grid.shape), cell, fresh)
 
 
 def closed_diagonals(wall: Tensor) -> Tensor:
-    """Directions between two walls, bool [*B, N, 8], of the walls in all directions [*B, N, 8]."""
-    straight = wall[..., 0::2]
-    closed = straight & straight.roll(-1, -1)
-    return torch.stack((torch.zeros_like(closed), closed), -1).flatten(-2)
+    """Diagonals between two walls, bool [*B, N, 9], of the walls ``grid.beside`` [*B, N, 9]."""
+    left, right = _sides(wall.device)
+    return wall.index_select(-1, left) & wall.index_select(-1, right)
+
+
+@lru_cache
+def _sides(device: torch.device) -> tuple[Tensor, Tensor]:
+    """The directions on either side of each diagonal, int64 [9]; else the own cell, no wall."""
+    left = [(d - 1) % NUM_DIRECTIONS if d % 2 else STAY for d in range(STAY + 1)]
+    right = [(d + 1) % NUM_DIRECTIONS if d % 2 else STAY for d in range(STAY + 1)]
+    return torch.tensor(left, device=device), torch.tensor(right, device=device)
 
 
 # What a map knows is kept as float masks where many cells are combined or counted: products and

@@ -7,36 +7,42 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import NUM_DIRECTIONS, OPEN, WALL, action_offsets, ring
+from marl_explore.core.grid import (
+    NUM_DIRECTIONS,
+    OPEN,
+    WALL,
+    action_offsets,
+    beside,
+    flat_cell,
+)
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.radio import has_neighbor
 
 
 def open_moves(view: Tensor) -> Tensor:
-    """Moves without a danger that is visible before anyone moves, bool [*B, N, 8].
+    """Moves without a danger that is visible before anyone moves, bool [*B, N, 9].
 
     A move is open unless its target is outside, is an obstacle or holds a robot, or it is a
-    diagonal between two obstacles.
+    diagonal between two obstacles. The ninth, to stay, always is.
 
     Args:
         view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
     """
-    around = ring(view)
-    return (around == OPEN) & ~closed_diagonals(around == WALL)
+    cells = beside(view)
+    return (cells == OPEN) & ~closed_diagonals(cells == WALL)
 
 
 def action_mask(open_moves: Tensor, reach: Tensor) -> Tensor:
     """Allowed actions: open moves, always stay, communicate beside another robot in range.
 
     Args:
-        open_moves: bool [*B, N, 8].
+        open_moves: bool [*B, N, 9].
         reach: bool [*B, N, N], pairs in range.
 
     Returns:
         bool [*B, N, 10].
     """
-    stay = torch.ones_like(open_moves[..., :1])
-    return torch.cat((open_moves, stay, has_neighbor(reach).unsqueeze(-1)), -1)
+    return torch.cat((open_moves, has_neighbor(reach).unsqueeze(-1)), -1)
 
 
 def random_allowed(mask: Tensor) -> Tensor:
@@ -45,11 +51,11 @@ def random_allowed(mask: Tensor) -> Tensor:
     return choice.view(mask.shape[:-1])
 
 
-def dangerous_moves(open_moves: Tensor, position: Tensor, action: Tensor) -> Tensor:
+def dangerous_moves(allowed: Tensor, position: Tensor, action: Tensor) -> Tensor:
     """Robots whose move is refused: closed, to a cell another one chose, or across its way.
 
     Args:
-        open_moves: bool [*B, N, 8], before the moves.
+        allowed: ``action_mask``, bool [*B, N, 10], before the moves.
         position: int64 [*B, N, 2], before the moves.
         action: int64 [*B, N].
 
@@ -57,15 +63,15 @@ def dangerous_moves(open_moves: Tensor, position: Tensor, action: Tensor) -> Ten
         bool [*B, N]; all contenders are refused, so the order of the robots does not matter.
     """
     moving = action < NUM_DIRECTIONS
-    direction = action.clamp_max(NUM_DIRECTIONS - 1).unsqueeze(-1)
-    closed = ~open_moves.gather(-1, direction).squeeze(-1)
-    start = position[..., 0] * _ROW + position[..., 1]
+    is_open = allowed.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+    start = flat_cell(position, _ROW)
     target = start + _of_each(action, _steps(action.device))
     # a pair with equal sums of start and target has one midpoint: its ways cross. Robots that do
     # not move are no contenders: their cell is closed to others, and no move ends or crosses there
     doubled_midpoint = start + target
     conflict = _equal_pairs(target) | _equal_pairs(doubled_midpoint)
-    return moving & (closed | (conflict.sum(-1) > 1))  # every robot is equal to itself
+    alone = conflict.sum(-1) == 1  # every robot is equal to itself
+    return moving & ~(is_open & alone)
 
 
 def move(position: Tensor, action: Tensor, dangerous: Tensor) -> Tensor:

@@ -28,8 +28,8 @@ class StepRecord(NamedTuple):
     """|M_i| after the step, int64 [*B, N]."""
     unshared: Tensor
     """q_ij before the step's merges reset it, int64 [*B, N, N] (cells)."""
-    complete: Tensor
-    """Whether some robot's map is complete after the step, bool [*B]."""
+    missing: Tensor
+    """Target cells that each map does not know after the step, int64 [*B, N]."""
     num_cells: int
     """H x W."""
     max_discovery: int
@@ -39,6 +39,11 @@ class StepRecord(NamedTuple):
     def merged(self) -> Tensor:
         """Members of a network, bool [*B, N]."""
         return self.network.diagonal(dim1=-2, dim2=-1)
+
+    @property
+    def complete(self) -> Tensor:
+        """Whether some robot's map is complete after the step, bool [*B]."""
+        return (self.missing == 0).any(-1)
 
     @property
     def gain(self) -> Tensor:
@@ -69,14 +74,15 @@ def case2_literal(step: StepRecord) -> Tensor:
 def _case2(step: StepRecord, idle: Tensor) -> Tensor:
     gain = step.gain.float()
     exploring = gain / step.max_discovery - idle.float()
+    merged = step.merged
     sharing = _share_bonus(step) * gain / step.num_cells
-    reward = torch.where(step.merged, sharing, exploring)
+    reward = torch.where(merged, sharing, exploring)
     return reward.masked_fill_(step.dangerous, -10.0)
 
 
 def _share_bonus(step: StepRecord) -> Tensor:
     """p_i = 0.8 + mean over the other members j of q_ij / (H W), float [*B, N]."""
-    partners = step.network & other_robots(step.network.shape[-1], step.network.device).bool()
+    partners = step.network * other_robots(step.network.shape[-1], step.network.device)
     shared = (step.unshared * partners).sum(-1)
     return 0.8 + shared / (step.num_cells * partners.sum(-1).clamp_min_(1))
 

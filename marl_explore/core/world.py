@@ -10,7 +10,6 @@ from torch import Tensor
 from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import (
     COMMUNICATE,
-    NUM_DIRECTIONS,
     UNKNOWN,
     bordered,
     other_robots,
@@ -18,6 +17,7 @@ from marl_explore.core.grid import (
     with_robots,
 )
 from marl_explore.core.mapping import (
+    blank_maps,
     draw,
     known_cells,
     known_mask,
@@ -73,19 +73,17 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
     """
     *batch, height, width = obstacles.shape
     robots = position.shape[-2]
-    unknown = torch.full(
-        (*batch, robots, height, width), UNKNOWN, dtype=torch.int8, device=obstacles.device
-    )
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
-    sensed = sense(unknown, view, position, config.occlusion)
+    sensed = sense(blank_maps(position, height, width), view, position, config.occlusion)
+    discovered = sensed.discovered + 1  # and the own cell
     others = other_robots(robots, position.device)
     return resume(
         config,
         obstacles,
         position,
         sensed.map,
-        unshared=sensed.discovered.unsqueeze(-1) * others,
+        unshared=discovered.unsqueeze(-1) * others,
         steps_since_merge=(NEVER * others).expand(*batch, robots, robots).clone(),
         step_count=position.new_zeros(*batch, 1),
     )
@@ -133,23 +131,22 @@ def advance(
     Returns:
         The state after the step, and the record of what happened.
     """
-    visible = state.action_mask[..., :NUM_DIRECTIONS]
-    dangerous = dangerous_moves(visible, state.position, action)
+    dangerous = dangerous_moves(state.action_mask, state.position, action)
     position = move(state.position, action, dangerous)
     view = surroundings(state.walls, position, config.fov_radius, config.occlusion)
     sensed = sense(state.map, view, position, config.occlusion)
     reach = in_range(position, config.communication_cells)
-    network = networks(reach, action == COMMUNICATE)
-    merged = _merged(sensed.map, state, network)
+    exchanged = _exchange(sensed.map, state, reach, action)
+    network = exchanged.network
 
     discovered = sensed.discovered
-    known = state.known + discovered + merged.received
-    missing = state.missing - sensed.discovered_of(state.target) - merged.received_targets
+    known = state.known + discovered + exchanged.received
+    missing = state.missing - sensed.discovered_of(state.target) - exchanged.received_targets
     others = other_robots(action.shape[-1], action.device)
-    unshared = state.unshared + discovered.unsqueeze(-1) * others
+    unshared = torch.addcmul(state.unshared, discovered.unsqueeze(-1), others)
     waited = (state.steps_since_merge + others).clamp_max_(NEVER)
     after = state._replace(
-        map=merged.map,
+        map=sensed.map,
         position=position,
         unshared=unshared.masked_fill(network, 0),
         steps_since_merge=waited.masked_fill_(network, 0),
@@ -164,47 +161,56 @@ def advance(
         dangerous=dangerous,
         network=network,
         discovered=discovered,
-        received=merged.received,
+        received=exchanged.received,
         known=known,
         unshared=unshared,
-        complete=(missing == 0).any(-1),
+        missing=missing,
         num_cells=config.num_cells,
         max_discovery=config.max_discovery,
     )
     return after, record
 
 
-class _Merged(NamedTuple):
-    map: Tensor
+class _Exchanged(NamedTuple):
+    network: Tensor
+    """Pairs in one network, bool [*B, N, N]."""
     received: Tensor
+    """Cells new to each map, int64 [*B, N]."""
     received_targets: Tensor
+    """Those to be mapped among them, int64 [*B, N]."""
 
 
-def _merged(grid: Tensor, state: WorldState, network: Tensor) -> _Merged:
-    """Maps [*B, N, H, W] after their networks merged, written in place, and what that added."""
+def _exchange(grid: Tensor, state: WorldState, reach: Tensor, action: Tensor) -> _Exchanged:
+    """Merge the maps [*B, N, H, W] of robots that communicate, in place; what that brought."""
     robots, *size = grid.shape[-3:]
-    maps, network = grid.view(-1, robots, *size), network.view(-1, robots, robots)
-    rows = _arenas_to_merge(network)
-    obstacles, target = (part.view(-1, *size)[rows] for part in (state.obstacles, state.target))
+    communicating = (action == COMMUNICATE).view(-1, robots)
+    result = _Exchanged(
+        torch.zeros_like(reach), torch.zeros_like(state.known), torch.zeros_like(state.known)
+    )
+    rows = _arenas_to_merge(communicating)
+    if len(rows) == 0:
+        return result
+    maps, obstacles, target = grid.view(-1, robots, *size), state.obstacles, state.target
+    network = networks(reach.view(-1, robots, robots)[rows], communicating[rows])
     before = known_mask(maps[rows])
-    after = merge(before, network[rows])
-    maps.index_copy_(0, rows, draw(after, obstacles))
+    after = merge(before, network)
+    maps.index_copy_(0, rows, draw(after, obstacles.view(-1, *size)[rows]))
     added = after - before
-    received, received_targets = torch.zeros_like(state.known), torch.zeros_like(state.known)
-    received.view(-1, robots).index_copy_(0, rows, known_cells(added))
-    received_targets.view(-1, robots).index_copy_(0, rows, known_targets(added, target))
-    return _Merged(grid, received, received_targets)
+    brought = (network, known_cells(added), known_targets(added, target.view(-1, *size)[rows]))
+    for whole, part in zip(result, brought, strict=True):
+        whole.view(-1, *part.shape[1:]).index_copy_(0, rows, part)
+    return result
 
 
-def _arenas_to_merge(network: Tensor) -> Tensor:
-    """Indices of the arenas to look at, int64 [R].
+def _arenas_to_merge(communicating: Tensor) -> Tensor:
+    """Indices of the arenas to look at, int64 [R], of who communicates, bool [B, N].
 
-    On the CPU those with a network, in most steps few. Elsewhere all: to ask which would halt the
-    device for longer than the work takes.
+    On the CPU those where several robots do, in most steps few. Elsewhere all: to ask which would
+    halt the device for longer than the work takes.
     """
-    if network.device.type == "cpu":
-        return network.flatten(1).any(-1).nonzero().squeeze(-1)
-    return torch.arange(len(network), device=network.device)
+    if communicating.device.type == "cpu":
+        return (communicating.sum(-1) > 1).nonzero().squeeze(-1)
+    return torch.arange(len(communicating), device=communicating.device)
 
 
 def check_starts(obstacles: Tensor, position: Tensor) -> None:

@@ -56,8 +56,13 @@ def backend() -> str:
     return f"torch: the native kernel is missing, {reason}" if reason else "native: C kernel"
 
 
-@torch.library.custom_op("marl_explore::frontier_table", mutates_args=())
-def _frontier_table(grid: Tensor, position: Tensor, mode: int, rows: bool = True) -> Tensor:
+# defined without the wrapper of custom_op, which takes longer than the table of a few arenas
+_OPERATOR = "marl_explore::frontier_table"
+torch.library.define(_OPERATOR, "(Tensor grid, Tensor position, int mode, bool rows) -> Tensor")
+
+
+@torch.library.impl(_OPERATOR, "cpu")
+def _frontier_table(grid: Tensor, position: Tensor, mode: int, rows: bool) -> Tensor:
     height, width = grid.shape[-2:]
     table = torch.empty(*grid.shape[:-2], NUM_DIRECTIONS, 3)
     grid, position = grid.contiguous(), position.contiguous()
@@ -99,26 +104,26 @@ if hasattr(os, "register_at_fork"):  # threads do not survive a fork
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
-@_frontier_table.register_fake
-def _(grid: Tensor, position: Tensor, mode: int, rows: bool = True) -> Tensor:
+@torch.library.register_fake(_OPERATOR)
+def _(grid: Tensor, position: Tensor, mode: int, rows: bool) -> Tensor:
     return grid.new_empty(*grid.shape[:-2], NUM_DIRECTIONS, 3, dtype=torch.float32)
 
 
-@_frontier_table.register_vmap
+@torch.library.register_vmap(_OPERATOR)
 def _(
     info: object,
     in_dims: tuple[int | None, ...],
     grid: Tensor,
     position: Tensor,
     mode: int,
-    rows: bool = True,
+    rows: bool,
 ) -> tuple[Tensor, int]:
     size = info.batch_size  # type: ignore[attr-defined]
     batched = [
         x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)
         for x, dim in zip((grid, position), in_dims, strict=False)
     ]
-    return _frontier_table(*batched, mode, rows), 0
+    return torch.ops.marl_explore.frontier_table.default(*batched, mode, rows), 0
 
 
 def feature_table(
@@ -153,4 +158,4 @@ def feature_table(
             f"position must be int64 of shape {(*grid.shape[:-2], 2)}, got {position.dtype} of "
             f"shape {tuple(position.shape)}"
         )
-    return _frontier_table(grid, position, _MODES[normalize], rows)
+    return torch.ops.marl_explore.frontier_table.default(grid, position, _MODES[normalize], rows)

@@ -129,8 +129,7 @@ typedef struct {
     Rows fresh;    /* 255 where a path may go on, 0 where it may not or has been */
     Rows passable; /* 255 where a diagonal beside the cell is not blocked by it */
     Rows frontier; /* 255 at frontiers */
-    Rows front;    /* first moves of the paths that have just come to the cell, one bit each */
-    Rows labels;   /* the same, of all cells that paths have come to */
+    Rows labels;   /* first moves of the paths that have come to the cell, one bit each */
     Rows distance; /* length of those paths */
     Rows unknown;  /* 255 at unknown cells */
 } Sheet;
@@ -163,13 +162,17 @@ INLINE Block load(const Task *task, const int8_t *map, int64_t row, int block) {
     return (code & inside) | (OCCUPIED & ~inside);
 }
 
-INLINE void read_rows(Sheet *sheet, const Task *task, const int8_t *map, int blocks) {
+/* The level at which `advance` comes to a row so many rows away from the start. */
+INLINE int64_t first_level(int64_t rows) { return rows > 2 ? rows : rows < -2 ? -rows : 2; }
+
+INLINE void read_rows(Sheet *sheet, const Task *task, const int8_t *map, int64_t start_row,
+                      int blocks) {
     const int64_t first = blocks, last = (task->height + 1) * blocks;
     const Block none = {0};
     for (int b = 0; b < blocks; b++) {
         sheet->unknown[b] = sheet->unknown[last + b] = none;
         sheet->passable[b] = sheet->passable[last + b] = none;
-        sheet->front[b] = sheet->front[last + b] = none;
+        sheet->labels[b] = sheet->labels[last + b] = none;
     }
     for (int64_t row = 0; row < task->height; row++)
         for (int b = 0; b < blocks; b++) {
@@ -178,7 +181,8 @@ INLINE void read_rows(Sheet *sheet, const Task *task, const int8_t *map, int blo
             sheet->unknown[i] = (Block)(code == (uint8_t)UNKNOWN);
             sheet->fresh[i] = (Block)(code == FREE);
             sheet->passable[i] = (Block)(code != OCCUPIED);
-            sheet->front[i] = sheet->labels[i] = sheet->distance[i] = none;
+            sheet->labels[i] = none;
+            sheet->distance[i] = none + (uint8_t)first_level(row - start_row);
         }
     for (int64_t row = first; row < last; row += blocks)
         for (int b = 0; b < blocks; b++) {
@@ -189,10 +193,10 @@ INLINE void read_rows(Sheet *sheet, const Task *task, const int8_t *map, int blo
         }
 }
 
-/* The first moves to the neighbours of the start, in front and labels. */
+/* Labels of the start's neighbours: one move, and it is their first. */
 INLINE void seed(Sheet *sheet, const Task *task, int64_t row, int64_t column, int blocks) {
     const int64_t stride = CELLS * blocks, start = (row + 1) * stride + column;
-    uint8_t *fresh = (uint8_t *)sheet->fresh, *front = (uint8_t *)sheet->front;
+    uint8_t *fresh = (uint8_t *)sheet->fresh, *labels = (uint8_t *)sheet->labels;
     const uint8_t *passable = (uint8_t *)sheet->passable;
     int64_t seeds[DIRECTIONS];
     int number = 0;
@@ -203,7 +207,7 @@ INLINE void seed(Sheet *sheet, const Task *task, int64_t row, int64_t column, in
             column + side >= task->width)
             continue;
         if (fresh[next] && (passable[start + up] | passable[start + side])) {
-            front[next] = ((uint8_t *)sheet->labels)[next] = (uint8_t)(1 << d);
+            labels[next] = (uint8_t)(1 << d);
             ((uint8_t *)sheet->distance)[next] = 1;
             seeds[number++] = next;
         }
@@ -213,25 +217,25 @@ INLINE void seed(Sheet *sheet, const Task *task, int64_t row, int64_t column, in
 }
 
 /* One step of all paths, rows `first` to `last`; returns whether any of them came to a new cell.
- * A diagonal is two straight half steps; one order of them must not cross an occupied cell. */
-INLINE int advance(Sheet *sheet, uint8_t level, int64_t first, int64_t last, int blocks) {
-    Block above[MOST_BLOCKS], here[MOST_BLOCKS], below[MOST_BLOCKS]; /* front before the step */
+ * All labels spread, not the latest only: cells beside earlier ones are not fresh any more. A diagonal is two straight half steps; one order of them must not cross an occupied cell. */
+INLINE int advance(Sheet *sheet, int64_t first, int64_t last, int blocks) {
+    Block above[MOST_BLOCKS], here[MOST_BLOCKS], below[MOST_BLOCKS]; /* labels before the step */
     Block half_above[MOST_BLOCKS], half[MOST_BLOCKS], half_below[MOST_BLOCKS]; /* sideways */
     Block upright[MOST_BLOCKS], any = {0};
     for (int b = 0; b < blocks; b++) {
         const int64_t row = first * blocks, over = row - blocks;
-        above[b] = sheet->front[over + b];
-        here[b] = sheet->front[row + b];
+        above[b] = sheet->labels[over + b];
+        here[b] = sheet->labels[row + b];
         half_above[b] =
-            (above[b] | beside(sheet->front + over, b, blocks)) & sheet->passable[over + b];
-        half[b] = (here[b] | beside(sheet->front + row, b, blocks)) & sheet->passable[row + b];
+            (above[b] | beside(sheet->labels + over, b, blocks)) & sheet->passable[over + b];
+        half[b] = (here[b] | beside(sheet->labels + row, b, blocks)) & sheet->passable[row + b];
     }
     for (int64_t row = first * blocks; row <= last * blocks; row += blocks) {
         const int64_t under = row + blocks;
         for (int b = 0; b < blocks; b++) {
-            below[b] = sheet->front[under + b];
+            below[b] = sheet->labels[under + b];
             half_below[b] =
-                (below[b] | beside(sheet->front + under, b, blocks)) & sheet->passable[under + b];
+                (below[b] | beside(sheet->labels + under, b, blocks)) & sheet->passable[under + b];
             upright[b] = (above[b] | below[b]) & sheet->passable[row + b];
         }
         for (int b = 0; b < blocks; b++) {
@@ -239,11 +243,9 @@ INLINE int advance(Sheet *sheet, uint8_t level, int64_t first, int64_t last, int
             const Block reached =
                 (half_above[b] | half[b] | half_below[b] | beside(upright, b, blocks)) &
                 sheet->fresh[i];
-            const Block old = (Block)(reached == 0);
-            sheet->front[i] = reached;
-            sheet->labels[i] |= reached;
-            sheet->distance[i] |= level & ~old;
-            sheet->fresh[i] &= old;
+            sheet->labels[i] = here[b] | reached;
+            sheet->fresh[i] &= (Block)(reached == 0);
+            sheet->distance[i] -= sheet->fresh[i]; /* one more where no path has come */
             any |= reached;
             above[b] = here[b], here[b] = below[b];
             half_above[b] = half[b], half[b] = half_below[b];
@@ -254,35 +256,50 @@ INLINE int advance(Sheet *sheet, uint8_t level, int64_t first, int64_t last, int
     return (words[0] | words[1]) != 0;
 }
 
+/* A bit for every byte that is not 0, of 8 bytes that are 0 or 255. */
+INLINE uint64_t bits(uint64_t bytes) {
+    return (bytes & UINT64_C(0x8040201008040201)) * UINT64_C(0x0101010101010101) >> 56;
+}
+
 /* The paths to all frontiers that have a label. */
 INLINE void count_all(const Sheet *sheet, const Task *task, Moments *moments, int64_t *longest,
                       int blocks) {
-    const uint8_t *labels = (const uint8_t *)sheet->labels;
-    const uint8_t *distance = (const uint8_t *)sheet->distance;
-    for (int64_t i = blocks; i < (task->height + 1) * blocks; i++) {
-        const Block found = (Block)((sheet->labels[i] & sheet->frontier[i]) != 0);
+    const uint8_t *labels = (const uint8_t *)(sheet->labels + blocks);
+    const uint8_t *distance = (const uint8_t *)(sheet->distance + blocks);
+    uint64_t found[MOST_ROWS * MOST_BLOCKS / 4] = {0}, sums[DIRECTIONS] = {0}, most = 0;
+    const int64_t number = task->height * blocks;
+    for (int64_t i = 0; i < number; i++) {
+        const Block hit = (Block)((sheet->labels[i + blocks] & sheet->frontier[i + blocks]) != 0);
         uint64_t words[2];
-        memcpy(words, &found, sizeof words);
-        for (int w = 0; w < 2; w++)
-            while (words[w] != 0) {
-                const int byte = __builtin_ctzll(words[w]) / 8;
-                const int64_t cell = i * CELLS + 8 * w + byte;
-                count(moments, longest, __builtin_ctz(labels[cell]), distance[cell]);
-                words[w] &= ~(UINT64_C(255) << 8 * byte);
-            }
+        memcpy(words, &hit, sizeof words);
+        found[i / 4] |= (bits(words[0]) | bits(words[1]) << 8) << i % 4 * 16;
     }
+    for (int64_t i = 0; 4 * i < number; i++)
+        for (uint64_t left = found[i]; left != 0; left &= left - 1) {
+            const int64_t cell = 64 * i + __builtin_ctzll(left);
+            const uint64_t length = distance[cell];
+            /* three sums in one: of 1, of lengths and of their squares, at most 2^10, 2^18, 2^26 */
+            sums[__builtin_ctz(labels[cell])] += 1 | length << 16 | length * length << 36;
+            most = length > most ? length : most;
+        }
+    for (int d = 0; d < DIRECTIONS; d++) {
+        moments[d].number = sums[d] & 0xffff;
+        moments[d].total = sums[d] >> 16 & 0xfffff;
+        moments[d].squares = sums[d] >> 36;
+    }
+    *longest = (int64_t)most;
 }
 
 /* Returns 0 if a path is longer than a byte can count. */
 INLINE int spread(const Task *task, const int8_t *map, int64_t row, int64_t column,
                   Moments *moments, int64_t *longest, int blocks) {
     Sheet *sheet = task->memory;
-    read_rows(sheet, task, map, blocks);
+    read_rows(sheet, task, map, row, blocks);
     seed(sheet, task, row, column, blocks);
     for (int64_t level = 2; level <= LONGEST; level++) {
         /* only rows that the front can come to are looked at */
         const int64_t first = row + 1 - level, last = row + 1 + level;
-        if (!advance(sheet, (uint8_t)level, first < 1 ? 1 : first,
+        if (!advance(sheet, first < 1 ? 1 : first,
                      last > task->height ? task->height : last, blocks)) {
             count_all(sheet, task, moments, longest, blocks);
             return 1;
@@ -321,37 +338,34 @@ static int64_t spread_bytes(void) { return 0; }
 /* The same operations in the same order as core/frontier.py: the results agree to the last bit. */
 static void write_table(const Moments *moments, int64_t longest, int mode, int64_t height,
                         int64_t width, float *table) {
-    double sum = 0, nearest = INFINITY;
     const double scale = longest > 1 ? (double)longest : 1.0;
-    for (int d = 0; d < DIRECTIONS; d++) {
-        sum += (double)moments[d].number;
-        if (mode == PROXIMITY && moments[d].number > 0)
-            nearest = fmin(nearest, (double)moments[d].total / (double)moments[d].number);
+    double number[DIRECTIONS], mean[DIRECTIONS], deviation[DIRECTIONS], sum = 0, nearest = INFINITY;
+    for (int d = 0; d < DIRECTIONS; d++) { /* without branches, so that it runs in vectors */
+        const double some = moments[d].number > 0 ? (double)moments[d].number : 1.0;
+        const double total = (double)moments[d].total;
+        number[d] = (double)moments[d].number;
+        mean[d] = total / some;
+        deviation[d] = sqrt(number[d] * (double)moments[d].squares - total * total) / some;
     }
-    if (sum < 1)
-        sum = 1;
+    for (int d = 0; d < DIRECTIONS; d++) {
+        sum += number[d];
+        if (mean[d] > 0 && mean[d] < nearest)
+            nearest = mean[d];
+    }
+    double of_number = 1, of_length = 1;
+    if (mode == ABSOLUTE) {
+        of_number = (double)(height * width);
+        of_length = (double)(height + width);
+    } else if (mode != RAW) {
+        of_number = sum > 1 ? sum : 1;
+        of_length = scale;
+    }
     for (int d = 0; d < DIRECTIONS; d++, table += FEATURES) {
-        const double number = (double)moments[d].number, total = (double)moments[d].total;
-        if (moments[d].number == 0) {
-            table[0] = table[1] = table[2] = 0.0f;
-            continue;
-        }
-        const double mean = total / number;
-        const double spread_of = number * (double)moments[d].squares - total * total;
-        const double deviation = spread_of > 0 ? sqrt(spread_of) / number : 0.0;
-        if (mode == RELATIVE || mode == PROXIMITY) {
-            table[0] = (float)(number / sum);
-            table[1] = (float)(mode == RELATIVE ? mean / scale : nearest / mean);
-            table[2] = (float)(deviation / scale);
-        } else if (mode == ABSOLUTE) {
-            table[0] = (float)(number / (double)(height * width));
-            table[1] = (float)(mean / (double)(height + width));
-            table[2] = (float)(deviation / (double)(height + width));
-        } else {
-            table[0] = (float)number;
-            table[1] = (float)mean;
-            table[2] = (float)deviation;
-        }
+        table[0] = (float)(number[d] / of_number);
+        table[1] = (float)(mode != PROXIMITY ? mean[d] / of_length
+                           : mean[d] > 0     ? nearest / mean[d]
+                                             : 0.0);
+        table[2] = (float)(deviation[d] / of_length);
     }
 }
 

@@ -236,7 +236,7 @@ def _open_moves(problem: Problem, plans: Plans, robot: int, target: Tensor) -> T
     own, place = plans.cell[..., robot], problem.board.place
     occupied = problem.occupied.gather(1, target.flatten(1)).view(target.shape)
     occupied |= ~problem.board.inside[own]
-    occupied[..., :STAY] |= closed_diagonals(occupied[..., :STAY])
+    occupied |= closed_diagonals(occupied)
     others = problem.present.clone()
     others[:, robot] = False
     others = others[:, None, None]

@@ -8,6 +8,7 @@ from hypothesis import given
 
 from marl_explore.core.grid import OCCUPIED, UNKNOWN, bordered, surroundings
 from marl_explore.core.mapping import (
+    blank_maps,
     connected,
     draw,
     field_of_view,
@@ -37,13 +38,13 @@ def view(board, radius=1, occlusion=False, robot=0):
 def sensed(board, radius=1, occlusion=False):
     """The maps of all robots after sensing once."""
     obstacles, position = arena(board)
-    unknown = torch.full((len(position), *obstacles.shape), UNKNOWN, dtype=torch.int8)
+    blank = blank_maps(position, *obstacles.shape)
     grid, cell, fresh = sense(
-        unknown, around(obstacles, position, radius, occlusion), position, occlusion
+        blank, around(obstacles, position, radius, occlusion), position, occlusion
     )
-    assert fresh.sum(-1).tolist() == known_cells(known_mask(grid)).tolist()
-    marked = torch.zeros_like(grid).flatten(-2).scatter_add_(-1, cell, fresh).view(grid.shape)
-    assert marked.equal((grid != UNKNOWN).to(torch.int8))  # every new cell once
+    assert (1 + fresh.sum(-1)).tolist() == known_cells(known_mask(grid)).tolist()
+    marked = (blank + 1).flatten(-2).scatter_add_(-1, cell, fresh.to(torch.int8))
+    assert marked.view(grid.shape).equal((grid != UNKNOWN).to(torch.int8))  # every new cell once
     return grid
 
 
@@ -174,13 +175,14 @@ def test_a_wider_sensor_writes_a_wider_square_cut_at_the_border():
 
 def test_sensing_keeps_what_was_known():
     obstacles, position = arena("0....")
-    before = map_cells("???.?").unsqueeze(0)
+    before = map_cells(".??.?").unsqueeze(0)
     after = sense(before, around(obstacles, position), position)
     assert after.map.equal(map_cells("..?.?").unsqueeze(0))
-    assert after.discovered.tolist() == [2]
+    assert after.discovered.tolist() == [1]
     target = torch.tensor([[True, False, True, True, True]])
-    assert after.discovered_of(target).tolist() == [1]
-    assert before.equal(map_cells("???.?").unsqueeze(0))
+    assert after.discovered_of(target).tolist() == [0]
+    assert after.discovered_of(~target).tolist() == [1]
+    assert before.equal(map_cells(".??.?").unsqueeze(0))
 
 
 def test_a_hidden_cell_stays_unknown_in_the_map():
@@ -199,10 +201,10 @@ def test_a_hidden_cell_stays_unknown_in_the_map():
 
 def test_hiding_does_not_erase_what_was_known():
     obstacles, position = arena(".#\n#0")
-    before = map_cells(".?\n??").unsqueeze(0)
+    before = map_cells(".?\n?.").unsqueeze(0)
     after = sense(before, around(obstacles, position, occlusion=True), position, True)
     assert after.map.equal(map_cells(".#\n#.").unsqueeze(0))
-    assert after.discovered.tolist() == [3]
+    assert after.discovered.tolist() == [2]
 
 
 # ---------------------------------------------------------------- merging

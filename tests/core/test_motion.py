@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+import torch
 
 from marl_explore.core.grid import bordered, surroundings
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
@@ -16,12 +17,19 @@ def around(obstacles, position):
     return surroundings(bordered(obstacles, 1), position, 1)
 
 
+def refused_moves(obstacles, position, action):
+    """``dangerous_moves`` of robots that may all communicate."""
+    reach = torch.ones(len(position), 2, dtype=torch.bool)
+    mask = action_mask(open_moves(around(obstacles, position)), reach)
+    return dangerous_moves(mask, position, action)
+
+
 def check(before, names, after, refused=frozenset()):
     """All act at once on the board ``before``; hold the board after it and who was refused."""
     obstacles, position = arena(before)
     _, expected = arena(after)
     action = actions(names)
-    dangerous = dangerous_moves(open_moves(around(obstacles, position)), position, action)
+    dangerous = refused_moves(obstacles, position, action)
     assert set(dangerous.nonzero().flatten().tolist()) == set(refused)
     assert move(position, action, dangerous).tolist() == expected.tolist()
 
@@ -50,7 +58,7 @@ def test_each_action_leads_to_its_cell(name, row, column):
         .0.
         ...
     """)
-    dangerous = dangerous_moves(open_moves(around(obstacles, position)), position, actions(name))
+    dangerous = refused_moves(obstacles, position, actions(name))
     assert dangerous.tolist() == [False]
     assert move(position, actions(name), dangerous).tolist() == [[row, column]]
 

@@ -31,7 +31,7 @@ def record(names, **changes):
         received=torch.zeros(robots, dtype=torch.int64),
         known=torch.full((robots,), 50),
         unshared=torch.zeros(robots, robots, dtype=torch.int64),
-        complete=torch.tensor(False),
+        missing=torch.full((robots,), 50),
         num_cells=144,
         max_discovery=5,
     )
@@ -143,11 +143,11 @@ def test_team_compares_the_largest_maps_not_one_robots_own():
 
 
 def test_team_takes_nothing_for_time_once_a_map_is_complete():
-    assert_rewards(team, record("N E N", complete=True), [0.0] * 3)
+    assert_rewards(team, record("N E N", missing=[0, 50, 50]), [0.0] * 3)
 
 
 def test_team_takes_a_quarter_when_all_are_refused():
-    step = record("N E N", dangerous=[True, True, True], complete=True)
+    step = record("N E N", dangerous=[True, True, True], missing=[0, 50, 50])
     assert_rewards(team, step, [-0.25] * 3)
 
 

@@ -131,8 +131,7 @@ def test_whole_episodes_agree_with_the_reference(scenario):
 def both_refused(before, action, record, cells):
     """Pairs with equal ``cells`` refused though neither saw a danger, bool [B, N, N]."""
     moving = action < NUM_DIRECTIONS
-    direction = action.clamp_max(NUM_DIRECTIONS - 1).unsqueeze(-1)
-    is_open = open_moves(before.view).gather(-1, direction).squeeze(-1)
+    is_open = before.action_mask.gather(-1, action.unsqueeze(-1)).squeeze(-1)
     innocent = moving & is_open & record.dangerous
     equal = (cells.unsqueeze(-2) == cells.unsqueeze(-3)).all(-1)
     others = ~torch.eye(action.shape[-1], dtype=torch.bool)
