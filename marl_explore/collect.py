@@ -115,9 +115,8 @@ def make_collector(
     }
     if run.collector == "process":
         env = create_env(num_envs=num_envs, first_arena=first_arena)
-        return ResumableCollector(
-            env, policy, frames_per_batch=num_envs * steps, device=env.device, **options
-        )
+        options |= {"device": env.device, "track_traj_ids": False}
+        return ResumableCollector(env, policy, frames_per_batch=num_envs * steps, **options)
     part = num_envs // run.workers
     workers = [
         partial(_worker_env, create_env, part, first, stream_seed(f"worker of arena {first}", seed))

@@ -229,7 +229,10 @@ class Trainer:
                 continue
             order = torch.randperm(len(batch), generator=self.generator)
             for rows in order.tensor_split(self.config.minibatches):
-                yield batch[rows]
+                # several times faster than batch[rows], which is an advanced index
+                yield batch.apply(
+                    lambda entry, rows=rows: entry.index_select(0, rows), batch_size=rows.shape
+                )
 
     def _step(self, name: str, losses: TensorDictBase) -> None:
         require_finite(losses.items(), self.updates + 1, name)
