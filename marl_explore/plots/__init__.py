@@ -5,7 +5,7 @@ Every function writes the format that its file's ending names, such as .png, .sv
 
 from __future__ import annotations
 
-from marl_explore.palette import COLORS
+from marl_explore.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
 from marl_explore.plots.episodes import episode_animation, episode_figure
 from marl_explore.plots.evaluation import (
     communication_figure,
@@ -13,7 +13,6 @@ from marl_explore.plots.evaluation import (
     enlargement_figure,
     tradeoff_figure,
 )
-from marl_explore.plots.style import FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
 from marl_explore.plots.training import training_figure
 
 __all__ = [

@@ -18,8 +18,8 @@ from matplotlib.colors import ListedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 from tensordict import TensorDictBase
 
-from marl_explore.palette import COLORS
-from marl_explore.plots.style import FREE_COLOR, OBSTACLE_COLOR, STYLE, UNKNOWN_COLOR, save
+from marl_explore.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
+from marl_explore.plots.style import STYLE, save
 
 
 def episode_animation(

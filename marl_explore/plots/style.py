@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from marl_explore.palette import COLORS
 from marl_explore.stats import Array, Band
 
-UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR = "#B8B8B8", "#FFFFFF", "#404040"
 STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,

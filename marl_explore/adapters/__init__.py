@@ -1,0 +1,1 @@
+"""The exploration task for other frameworks; each module needs the framework it is named after."""

@@ -1,0 +1,235 @@
+"""The exploration task as a PettingZoo parallel environment."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+from tensordict import TensorDict, TensorDictBase
+
+from marl_explore.adapters.pictures import ascii_picture, rgb_picture
+from marl_explore.arenas import Generator
+from marl_explore.config import ArenaConfig
+from marl_explore.core.frontier import Normalization
+from marl_explore.core.grid import NUM_ACTIONS
+from marl_explore.core.rewards import Reward
+from marl_explore.make import make_env
+
+RenderMode = Literal["rgb_array", "ansi"]
+_RENDER_MODES: tuple[RenderMode, ...] = get_args(RenderMode)
+Observation = dict[str, NDArray[Any]]
+_START = ("obstacles", "positions")
+
+
+def parallel_env(
+    config: ArenaConfig | None = None,
+    reward: str | Reward = "case2",
+    max_steps: int = 200,
+    render_mode: RenderMode | None = None,
+    *,
+    terminate_at_coverage: float | None = None,
+    arenas: str | Generator = "uniform",
+    seed: int = 0,
+    stream: str = "train",
+    fpr: Normalization | None = "relative",
+) -> ParallelExploration:
+    """One arena of the exploration task as a PettingZoo environment; see ``ParallelExploration``.
+
+    Args:
+        render_mode: what ``render`` gives: "rgb_array", "ansi", or None.
+        config, reward, max_steps, terminate_at_coverage, arenas, seed, stream, fpr: as for
+        ``make_env``.
+
+    Raises:
+        ValueError: naming argument, value and what is allowed.
+    """
+    return ParallelExploration(
+        config,
+        reward,
+        max_steps,
+        render_mode,
+        terminate_at_coverage=terminate_at_coverage,
+        arenas=arenas,
+        seed=seed,
+        stream=stream,
+        fpr=fpr,
+    )
+
+
+class ParallelExploration(ParallelEnv[str, Observation, int]):
+    """Robots "robot_0", "robot_1", ... that map an unknown arena together.
+
+    It is arena 0 of ``make_env`` with the same arguments: the same seed and actions give the same
+    episode. A robot observes a dictionary of "observation", float32 [(2k+1)^2 + 24 + N] (FOV, FPR
+    and NET in a row), and "action_mask", int8 [10], which the info holds too. All robots get the
+    team's reward; the info has their "individual_reward".
+
+    ``reset()`` goes on to the next episode's arena, ``reset(seed)`` starts again at the first one
+    of that seed, ``reset(options={"obstacles": ..., "positions": ...})`` takes the arena bool
+    [H, W] and starts [N, 2] that are given.
+    """
+
+    metadata = {  # noqa: RUF012 - as PettingZoo declares it
+        "name": "marl_explore_v0",
+        "render_modes": list(_RENDER_MODES),
+        "render_fps": 8,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        config: ArenaConfig | None,
+        reward: str | Reward,
+        max_steps: int,
+        render_mode: RenderMode | None,
+        **options: Any,
+    ) -> None:
+        if render_mode not in (None, *_RENDER_MODES):
+            raise ValueError(
+                f"render_mode={render_mode!r} is not allowed: use None or one of {_RENDER_MODES}"
+            )
+        self.render_mode = render_mode
+        self._env = make_env(config, 1, reward, max_steps, **options)
+        self._config: ArenaConfig = self._env.base_env.config
+        self._now: TensorDictBase | None = None
+        robots = self._config.num_agents
+        self.possible_agents = [f"robot_{i}" for i in range(robots)]
+        self.agents: list[str] = []
+        numbers = spaces.Box(-np.inf, np.inf, (self._config.observation_size,), np.float32)
+        entries = {"observation": numbers, "action_mask": spaces.MultiBinary(NUM_ACTIONS)}
+        self.observation_spaces = {agent: spaces.Dict(entries) for agent in self.possible_agents}
+        self.action_spaces = {agent: spaces.Discrete(NUM_ACTIONS) for agent in self.possible_agents}
+        cells = self._config.num_cells
+        self.state_space = spaces.Box(-1, 1, ((1 + robots) * cells + 2 * robots,), np.float32)
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """Space of what one robot observes."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """The ten actions: 0 to 7 move N, NE, ... NW, 8 stays, 9 communicates."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Start an episode.
+
+        Args:
+            seed: of the arenas from now on; None: the next arena.
+            options: "obstacles" and "positions" of an arena to start in; others are ignored.
+
+        Raises:
+            ValueError: for one without the other, or starts that are out of bounds, occupied or
+                shared.
+        """
+        if seed is not None:
+            self._env.set_seed(seed)
+        start = {key: options[key] for key in _START if key in options} if options else {}
+        if start:
+            self._now = self._env.reset(self._given(start), set_state=True)
+        else:
+            self._now = self._env.reset()
+        self.agents = list(self.possible_agents)
+        return self._observations(), self._infos()
+
+    def step(
+        self, actions: dict[str, int]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """All robots act at once.
+
+        Args:
+            actions: of every robot; one that its mask forbids does what docs/environment.md
+                says.
+
+        Raises:
+            ValueError: when a robot has no action, or one that is none of the ten.
+            RuntimeError: before a reset, and after the end of an episode.
+        """
+        if not self.agents:
+            raise RuntimeError("no episode is under way: call reset() first")
+        chosen = [self._checked(actions, agent) for agent in self.agents]
+        before = self._current.select("obstacles", "step_count", "agents", strict=False)
+        before["agents", "action"] = torch.tensor([chosen])
+        self._now = self._env.step(before)["next"]
+        outcome = [self._now[key].item() for key in ("reward", "terminated", "truncated")]
+        rewards, terminated, truncated = (dict.fromkeys(self.agents, value) for value in outcome)
+        observations, infos = self._observations(), self._infos()
+        if self._now["done"].item():
+            self.agents = []
+        return observations, rewards, terminated, truncated, infos
+
+    def state(self) -> NDArray[np.float32]:
+        """The true state, for a centralised critic, float32 [(1 + N) H W + 2 N].
+
+        Obstacles (1, else 0), every robot's map (-1 unknown, 0 free, 1 occupied), and positions as
+        shares of the arena's sides.
+        """
+        now = self._current
+        height, width = self._config.height, self._config.width
+        position = now["agents", "position"] / torch.tensor([height, width])
+        parts = (now["obstacles"], now["agents", "map"], position)
+        return torch.cat([part.flatten().float() for part in parts]).numpy()
+
+    def render(self) -> NDArray[np.uint8] | str | None:
+        """What the team knows together as an image uint8 [16 H, 16 W, 3], or as text."""
+        if self.render_mode is None:
+            return None
+        draw = ascii_picture if self.render_mode == "ansi" else rgb_picture
+        agents = self._current["agents"]
+        return draw(agents["map"][0], agents["position"][0])
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    @property
+    def _current(self) -> TensorDictBase:
+        if self._now is None:
+            raise RuntimeError("no episode is under way: call reset() first")
+        return self._now
+
+    def _given(self, start: dict[str, Any]) -> TensorDict:
+        if len(start) < len(_START):
+            raise ValueError(f"options={sorted(start)} is not allowed: give both of {_START}")
+        obstacles, positions = (torch.as_tensor(np.asarray(start[k])).unsqueeze(0) for k in _START)
+        agents = TensorDict({"position": positions}, batch_size=[1, len(self.possible_agents)])
+        return TensorDict({"obstacles": obstacles, "agents": agents}, batch_size=[1])
+
+    @staticmethod
+    def _checked(actions: dict[str, int], agent: str) -> int:
+        action = actions.get(agent)
+        if action is None or not 0 <= int(action) < NUM_ACTIONS:
+            raise ValueError(
+                f"actions[{agent!r}]={action!r} is not allowed: every robot needs an action from "
+                f"0 to {NUM_ACTIONS - 1}"
+            )
+        return int(action)
+
+    def _observations(self) -> dict[str, Observation]:
+        agents = self._current["agents"]
+        features = [agents["observation", key][0].flatten(1) for key in ("fov", "fpr", "net")]
+        numbers, masks = torch.cat(features, -1).numpy(), self._masks()
+        return {
+            agent: {"observation": numbers[i], "action_mask": masks[i]}
+            for i, agent in enumerate(self.agents)
+        }
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        own, masks = self._current["agents", "individual_reward"][0, :, 0], self._masks()
+        return {
+            agent: {"action_mask": masks[i], "individual_reward": own[i].item()}
+            for i, agent in enumerate(self.agents)
+        }
+
+    def _masks(self) -> NDArray[np.int8]:
+        return self._current["agents", "action_mask"][0].to(torch.int8).numpy()

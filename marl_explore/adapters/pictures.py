@@ -1,0 +1,51 @@
+"""What a team knows together, as text and as an image."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ImageColor
+from torch import Tensor
+
+from marl_explore.core.grid import UNKNOWN
+from marl_explore.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
+
+SIDE = 16
+"""Pixels of a cell's side."""
+_SYMBOLS = "?.#"
+
+
+def merged_map(maps: Tensor) -> NDArray[np.int8]:
+    """The union of all robots' maps, int8 [H, W], of maps int8 [N, H, W]."""
+    return maps.amax(0).numpy()  # unknown is the lowest code, and known cells agree
+
+
+def ascii_picture(maps: Tensor, position: Tensor) -> str:
+    """A line per row: ? unknown, . free, # occupied, a digit per robot (the tenth is 0 again).
+
+    Args:
+        maps: int8 [N, H, W].
+        position: int64 [N, 2].
+    """
+    rows = [[_SYMBOLS[code - UNKNOWN] for code in row] for row in merged_map(maps).tolist()]
+    for robot, (row, column) in enumerate(position.tolist()):
+        rows[row][column] = str(robot % 10)
+    return "\n".join(map("".join, rows))
+
+
+def rgb_picture(maps: Tensor, position: Tensor) -> NDArray[np.uint8]:
+    """An image uint8 [16 H, 16 W, 3]: known cells, and a square of its colour per robot.
+
+    Args:
+        maps: int8 [N, H, W].
+        position: int64 [N, 2].
+    """
+    shades = np.array(list(map(ImageColor.getrgb, (UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR))))
+    cells = shades[merged_map(maps) - UNKNOWN].astype(np.uint8)
+    picture = cells.repeat(SIDE, 0).repeat(SIDE, 1)
+    edge = SIDE // 4
+    for robot, (row, column) in enumerate(position.tolist()):
+        color = ImageColor.getrgb(COLORS[robot % len(COLORS)])
+        top, left = row * SIDE, column * SIDE
+        picture[top + edge : top + SIDE - edge, left + edge : left + SIDE - edge] = color
+    return picture

@@ -1,0 +1,144 @@
+"""The task through PettingZoo is the task: its own conformance tests, and the same episodes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+from marl_explore import ArenaConfig, make_env
+from marl_explore.adapters.pettingzoo import parallel_env
+from tests.boards import actions, arena
+
+SMALL = ArenaConfig(height=6, width=5, num_agents=3, communication_range=1.0)
+
+
+def features(agents, robot):
+    """FOV, FPR and NET of a robot in a row."""
+    parts = [agents["observation", key][0, robot].flatten() for key in ("fov", "fpr", "net")]
+    return torch.cat(parts).numpy()
+
+
+def test_it_passes_the_parallel_api_test():
+    parallel_api_test(parallel_env(SMALL, max_steps=20), num_cycles=100)
+
+
+def test_it_passes_the_parallel_seed_test():
+    parallel_seed_test(lambda: parallel_env(SMALL, max_steps=20))
+
+
+@pytest.mark.parametrize("reward", ["case1", "case2", "team"])
+def test_the_same_seed_and_actions_give_the_episodes_of_the_torchrl_env(reward):
+    options = {"reward": reward, "max_steps": 15, "seed": 4, "fpr": "proximity"}
+    ours = make_env(SMALL, **options, terminate_at_coverage=0.7)
+    other = parallel_env(SMALL, **options, terminate_at_coverage=0.7)
+    generator = torch.Generator().manual_seed(0)
+    ended = set()
+    for _ in range(6):
+        observation, (seen, infos) = ours.reset(), other.reset()
+        while True:
+            agents = observation["agents"]
+            for i, agent in enumerate(other.possible_agents):
+                assert np.array_equal(seen[agent]["observation"], features(agents, i))
+                mask = agents["action_mask"][0, i].numpy()
+                assert np.array_equal(seen[agent]["action_mask"], mask)
+                assert np.array_equal(infos[agent]["action_mask"], mask)
+                assert other.observation_space(agent).contains(seen[agent])
+            if not other.agents:
+                break
+            action = torch.randint(10, (1, 3), generator=generator)
+            observation["agents", "action"] = action
+            observation = ours.step(observation)["next"]
+            chosen = dict(zip(other.agents, action[0].tolist(), strict=True))
+            seen, *outcome, infos = other.step(chosen)
+            for key, values in zip(("reward", "terminated", "truncated"), outcome, strict=True):
+                assert set(values.values()) == {observation[key].item()}, key
+            for i, agent in enumerate(other.possible_agents):
+                own = observation["agents", "individual_reward"][0, i].item()
+                assert infos[agent]["individual_reward"] == own
+        ended.add((observation["terminated"].item(), observation["truncated"].item()))
+    assert len(ended) > 1  # some arenas were covered, others took too long
+
+
+def test_reset_goes_on_to_the_next_arena_and_a_seed_starts_again():
+    env = parallel_env(SMALL)
+    states = []
+    for seed in (None, None, 7, None, 7):
+        env.reset(seed)
+        states.append(env.state())
+    assert not np.array_equal(states[0], states[1])
+    assert not np.array_equal(states[2], states[3])
+    assert np.array_equal(states[2], states[4])
+
+
+def test_given_starts():
+    obstacles, positions = arena("""
+        #....
+        ..0..
+        .1...
+        ...#.
+    """)
+    env = parallel_env(ArenaConfig(height=4, width=5, num_agents=2), render_mode="ansi")
+    env.reset(options={"obstacles": obstacles.numpy(), "positions": positions.tolist()})
+    assert env.render().splitlines() == ["?...?", "..0.?", ".1..?", "...??"]
+    env.step(dict(zip(env.agents, actions("E S").tolist(), strict=True)))
+    assert env.render().splitlines() == ["?....", "...0.", ".....", ".1.??"]
+    state = env.state()
+    assert env.state_space.contains(state)
+    assert np.array_equal(state[:20].reshape(4, 5), obstacles.numpy())
+    assert state[-4:].tolist() == pytest.approx([1 / 4, 3 / 5, 3 / 4, 1 / 5])
+
+
+def test_an_image_shows_what_the_team_knows():
+    env = parallel_env(SMALL, render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (96, 80, 3)
+    assert picture.dtype == np.uint8
+    env.render_mode = "ansi"
+    centres = picture[8::16, 8::16].reshape(-1, 3).tolist()
+    corners = picture[::16, ::16].reshape(-1, 3).tolist()
+    shades = {"?": [0xB8] * 3, ".": [0xFF] * 3, "#": [0x40] * 3}
+    for symbol, centre, corner in zip(
+        env.render().replace("\n", ""), centres, corners, strict=True
+    ):
+        assert corner == shades.get(symbol, [0xFF] * 3)
+        assert (centre == corner) == (symbol in shades)
+
+
+def test_without_a_render_mode_nothing_is_drawn():
+    env = parallel_env(SMALL)
+    env.reset()
+    assert env.render() is None
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ({"robot_0": 8, "robot_1": 8}, r"actions\['robot_2'\]=None is not allowed"),
+        ({"robot_0": 8, "robot_1": 8, "robot_2": 10}, r"actions\['robot_2'\]=10 is not allowed"),
+        ({"robot_0": -1, "robot_1": 8, "robot_2": 8}, r"actions\['robot_0'\]=-1 is not allowed"),
+    ],
+)
+def test_every_robot_needs_one_of_the_ten_actions(chosen, message):
+    env = parallel_env(SMALL)
+    env.reset()
+    with pytest.raises(ValueError, match=message):
+        env.step(chosen)
+
+
+def test_wrong_arguments_are_named():
+    with pytest.raises(ValueError, match="render_mode='human' is not allowed"):
+        parallel_env(SMALL, render_mode="human")
+    with pytest.raises(ValueError, match="max_steps=0"):
+        parallel_env(SMALL, max_steps=0)
+    env = parallel_env(SMALL)
+    with pytest.raises(RuntimeError, match="call reset"):
+        env.step({})
+    with pytest.raises(RuntimeError, match="call reset"):
+        env.state()
+    with pytest.raises(ValueError, match=r"options=\['positions'\] is not allowed"):
+        env.reset(options={"positions": [[0, 0], [1, 1], [2, 2]]})
+    with pytest.raises(ValueError, match="holds more than one robot"):
+        env.reset(options={"obstacles": np.zeros((6, 5), bool), "positions": [[0, 0]] * 3})
