@@ -1,0 +1,253 @@
+"""Hold trained policies against the paper's claims: a table, and its three evaluation figures.
+
+python recipes/paper.py mlp-case1=runs/a,runs/b mlp-case2=runs/c cnn-case1=runs/d cnn-case2=runs/e
+
+Each of the four names takes runs of several training seeds. As in the paper: 200 random arenas, 300
+steps, sampled actions; every policy meets the same arenas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import mean
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import tyro
+
+from marl_explore import cli
+from marl_explore.config import require_integer
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from marl_explore.metrics import Episodes
+
+STEPS = 300
+NAMES = ("mlp-case1", "mlp-case2", "cnn-case1", "cnn-case2")
+MEASURES = {
+    "coverage_at_20": "coverage at 20",
+    "coverage_at_150": "at 150",
+    "coverage_at_300": "at 300",
+    "spread_at_150": "deviation at 150",
+    "communication_share": "communicate",
+    "useful_share": "useful",
+    "large_enlargement_share": "merges > e_max",
+    "steps_to_100": "steps to 100 %",
+}
+"""What the claims are about, and its column in the table of policies."""
+
+Means = Mapping[str, Mapping[str, float]]
+"""Every measure of every policy, the mean over its seeds."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Which runs, and where the results go."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """NAME=RUN,RUN,... for each of mlp-case1, mlp-case2, cnn-case1 and cnn-case2."""
+    num_arenas: int = 200
+    """Test arenas, the same for every policy."""
+    seed: int = 0
+    """Seed of the arenas and of sampled actions."""
+    out: Path = Path("paper")
+    """New folder for tables, figures and results.json."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        require_integer("num_arenas", self.num_arenas, 1)
+        require_integer("seed", self.seed, 0)
+
+
+class Claim(NamedTuple):
+    """What the paper says, and how it is looked for in our numbers."""
+
+    text: str
+    measure: str
+    holds: Callable[[Means], bool]
+
+
+def everywhere(measure: str, least: float, names: tuple[str, ...] = NAMES) -> Callable[..., bool]:
+    """Whether a measure is at least so large in all policies of these names."""
+    return lambda means: all(means[name][measure] >= least for name in names)
+
+
+def larger(measure: str, *pairs: tuple[str, str]) -> Callable[..., bool]:
+    """Whether a measure is larger in the first policy of every pair."""
+    return lambda means: all(means[a][measure] > means[b][measure] for a, b in pairs)
+
+
+CASE_1_OVER_2 = (("mlp-case1", "mlp-case2"), ("cnn-case1", "cnn-case2"))
+CASE_2_OVER_1 = (("mlp-case2", "mlp-case1"), ("cnn-case2", "cnn-case1"))
+CNN_OVER_MLP = (("cnn-case1", "mlp-case1"), ("cnn-case2", "mlp-case2"))
+CLAIMS = (
+    Claim(
+        "all policies cover at least 80 % after 150 steps",
+        "coverage_at_150",
+        everywhere("coverage_at_150", 0.80),
+    ),
+    Claim(
+        "CNN policies surpass 90 % by the end",
+        "coverage_at_300",
+        everywhere("coverage_at_300", 0.90, ("cnn-case1", "cnn-case2")),
+    ),
+    Claim(
+        "case 2 reaches up to 99 %",
+        "coverage_at_300",
+        lambda means: max(means[n]["coverage_at_300"] for n in NAMES if "case2" in n) >= 0.99,
+    ),
+    Claim(
+        "arenas lie close around the average (read as: deviation at most 0.1)",
+        "spread_at_150",
+        lambda means: all(means[name]["spread_at_150"] <= 0.1 for name in NAMES),
+    ),
+    Claim(
+        "case 1 communicates more than case 2",
+        "communication_share",
+        larger("communication_share", *CASE_1_OVER_2),
+    ),
+    Claim(
+        "communications are more effective with CNN than with MLP",
+        "useful_share",
+        larger("useful_share", *CNN_OVER_MLP),
+    ),
+    Claim(
+        "case 1 has larger maps early (read as: step 20)",
+        "coverage_at_20",
+        larger("coverage_at_20", *CASE_1_OVER_2),
+    ),
+    Claim(
+        "case 2 has larger maps in the end",
+        "coverage_at_300",
+        larger("coverage_at_300", *CASE_2_OVER_1),
+    ),
+    Claim(
+        "merges bring more with case 2 (read as: share above e_max)",
+        "large_enlargement_share",
+        larger("large_enlargement_share", *CASE_2_OVER_1),
+    ),
+)
+
+
+def measured(episodes: Episodes) -> dict[str, float]:
+    """Every measure of one policy."""
+    from marl_explore import metrics
+
+    largest = metrics.coverage(episodes)["largest"]
+    spread = float(largest[:, 150].std(correction=0))
+    return metrics.summarize(episodes) | {"spread_at_150": spread}
+
+
+def claims_table(means: Means) -> str:
+    """The paper's claims, our numbers in the order of ``NAMES``, and whether they agree."""
+    from marl_explore import tables
+
+    rows = [
+        [
+            claim.text,
+            " / ".join(tables.number(means[name][claim.measure]) for name in NAMES),
+            "yes" if claim.holds(means) else "no",
+        ]
+        for claim in CLAIMS
+    ]
+    return tables.markdown(["the paper", " / ".join(NAMES), "agrees"], rows)
+
+
+def policies_table(seeds: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """The measures of every trained policy."""
+    from marl_explore import tables
+
+    rows = [
+        [name, run, *(tables.number(measures[key]) for key in MEASURES)]
+        for name, runs in seeds.items()
+        for run, measures in runs.items()
+    ]
+    return tables.markdown(["policy", "run", *MEASURES.values()], rows)
+
+
+def draw(episodes: Mapping[str, list[Episodes]], folder: Path) -> None:
+    """The paper's three figures, over all seeds of each policy."""
+    import torch
+
+    from marl_explore import metrics, plots
+
+    def pooled(measure: Callable[[Episodes], Tensor]) -> dict[str, Tensor]:
+        return {name: torch.cat([measure(e) for e in parts]) for name, parts in episodes.items()}
+
+    plots.coverage_figure(pooled(lambda e: metrics.coverage(e)["largest"]), folder / "coverage.png")
+    share = {
+        name: {
+            key: torch.cat([metrics.shares(e)[key].each for e in parts])
+            for key in ("communication_share", "useful_share")
+        }
+        for name, parts in episodes.items()
+    }
+    plots.communication_figure(share, folder / "communication.png")
+    max_discovery = next(iter(episodes.values()))[0].max_discovery
+    plots.enlargement_figure(
+        pooled(metrics.enlargements), max_discovery, folder / "enlargements.png"
+    )
+
+
+def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The runs of each of the four policies.
+
+    Raises:
+        ValueError: when other policies than the four are named.
+    """
+    from marl_explore.leaderboard import parse_entries
+
+    entries = {entry.name: entry.policies for entry in parse_entries(words)}
+    if set(entries) != set(NAMES):
+        raise ValueError(f"policies={sorted(entries)} is not allowed: name all of {NAMES}")
+    return {name: entries[name] for name in NAMES}
+
+
+def play(policy: str, arguments: Arguments) -> Episodes:
+    """The test episodes of one trained policy, on the arenas it was trained for."""
+    from marl_explore.evaluation import find_policy, record
+    from marl_explore.policies import load_policy
+
+    arena = load_policy(policy).spec.arena
+    return record(
+        find_policy(policy, arena),
+        arena,
+        num_arenas=arguments.num_arenas,
+        steps=STEPS,
+        seed=arguments.seed,
+    )
+
+
+def run(arguments: Arguments) -> None:
+    """Evaluate all runs; write tables and figures."""
+    from marl_explore import runs
+
+    entries = read_entries(arguments.policies)
+    settings = asdict(arguments) | {"out": str(arguments.out)}
+    how = runs.provenance() | {"settings": settings}
+    runs.require_new(arguments.out)
+    episodes = {n: [play(policy, arguments) for policy in entries[n]] for n in NAMES}
+    seeds = {
+        n: {Path(p).name: measured(e) for p, e in zip(entries[n], episodes[n], strict=True)}
+        for n in NAMES
+    }
+    means = {n: {key: mean(m[key] for m in seeds[n].values()) for key in MEASURES} for n in NAMES}
+    folder = runs.new_folder(arguments.out)
+    tables = {"claims.md": claims_table(means), "policies.md": policies_table(seeds)}
+    for file, table in tables.items():
+        (folder / file).write_text(table + "\n")
+        print(table, end="\n\n")
+    draw(episodes, folder)
+    runs.write_json(folder / "results.json", how | {"results": seeds})
+    print(f"tables, figures and all measures: {folder}")
+
+
+def parse() -> Arguments:
+    """Read the command line."""
+    return tyro.cli(Arguments, prog="paper.py", description=__doc__)
+
+
+if __name__ == "__main__":
+    cli.main(parse, run)
