@@ -43,12 +43,13 @@ class Central(Planner):
         grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
         union = grid.amax(-3)  # unknown is the lowest code
         move = torch.full_like(position[..., 0], STAY)
-        rows = (union == UNKNOWN).flatten(-2).any(-1)
+        obstacles = self.obstacles(tensordict, union)
+        unknown = (union == UNKNOWN) & target_cells(obstacles, position)
+        rows = unknown.flatten(-2).any(-1)
         if rows.any():
             team = torch.ones_like(move, dtype=torch.bool)
-            obstacles = self.obstacles(tensordict, union)
             first, fruitful = self.search.first_moves(
-                union[rows] == UNKNOWN, obstacles[rows], position[rows], team[rows], self.radius
+                unknown[rows], obstacles[rows], position[rows], team[rows], self.radius
             )
             shared = union[rows].unsqueeze(1).expand(-1, *grid.shape[1:])
             nearest, length = nearest_frontier(shared, position[rows])

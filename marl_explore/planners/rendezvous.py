@@ -16,6 +16,7 @@ from marl_explore.core.grid import (
     flat_cell,
     straight_distances,
 )
+from marl_explore.core.mapping import target_cells
 from marl_explore.core.radio import in_range
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
@@ -72,7 +73,8 @@ class Rendezvous(Planner):
         reach = in_range(position, self.range_cells)
         seen = self._remember(now, grid, position, reach)
         near = reach.sum(-1) > 1
-        unknown = (grid == UNKNOWN) & ~seen.covered
+        target = target_cells(grid == OCCUPIED, position.unsqueeze(-2))
+        unknown = (grid == UNKNOWN) & target & ~seen.covered
         left = unknown.flatten(-2).any(-1)
         self._idle = torch.where(left | (now == 0), 0, self._idle + 1)
         forget = self._idle >= self.patience_steps
@@ -80,12 +82,11 @@ class Rendezvous(Planner):
         seen.covered = seen.covered & ~forget[..., None, None]
 
         move = self._meet(grid, position, near, seen)
-        explores = left & frontier_mask(grid).flatten(-2).any(-1)
         nearest, length = nearest_frontier(grid, position)
-        move = torch.where(explores, torch.where(length > 0, nearest, STAY), move)
+        move = torch.where(left, torch.where(length > 0, nearest, STAY), move)
         sight = self.search.horizon + self.radius
         within = straight_distances(position, *grid.shape[-2:]) <= sight
-        rows = explores & (unknown & within).flatten(-2).any(-1)
+        rows = left & (unknown & within).flatten(-2).any(-1)
         if rows.any():
             first, fruitful = self._joint_plan(rows, now, grid, unknown, position, seen)
             move[rows] = torch.where(fruitful, first, move[rows])
