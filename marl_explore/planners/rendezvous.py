@@ -67,9 +67,16 @@ class Rendezvous(Planner):
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """Own part of the joint plan, int64 [*B, N]."""
-        now = tensordict.get("step_count")
-        grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
-        since = tensordict.get(("agents", "steps_since_merge"))
+        batch = tensordict.get("step_count").shape[:-1]
+        now, grid, position, since = (
+            tensordict.get(key).reshape(-1, *tensordict.get(key).shape[len(batch) :])
+            for key in (
+                "step_count",
+                ("agents", "map"),
+                ("agents", "position"),
+                ("agents", "steps_since_merge"),
+            )
+        )
         reach = in_range(position, self.range_cells)
         seen = self._remember(now, grid, position, reach)
         near = reach.sum(-1) > 1
@@ -92,7 +99,7 @@ class Rendezvous(Planner):
             move[rows] = torch.where(fruitful, first, move[rows])
         if self.answer:
             move = move.masked_fill((seen.waited & (since >= 2)).any(-1), COMMUNICATE)
-        return move
+        return move.view(*batch, -1)
 
     def _remember(self, now: Tensor, grid: Tensor, position: Tensor, reach: Tensor) -> Sightings:
         seen = self._sightings
