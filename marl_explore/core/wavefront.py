@@ -114,16 +114,24 @@ def path_distances(free: Tensor, target: Tensor, longest: int = ALL) -> Tensor:
     reached[1:-1, 1:-1] = own.view(count, height, width, size).permute(1, 2, 0, 3).flatten(-2)
     reached &= passable
     sideways, upright = torch.zeros_like(reached), torch.zeros_like(reached)
-    distance = torch.zeros(height, width, count, size, 8, dtype=torch.uint8, device=free.device)
-    for _ in range(longest):
-        missing = ~reached[1:-1, 1:-1].reshape(height, width, count, size, 1)
-        distance += (missing & bits).clamp_max_(1)
+    digits = [torch.zeros_like(reached) for _ in range(longest.bit_length())]
+    for level in range(1, longest):
         before = reached.clone()
         _spread(reached, passable, sideways, upright)
         reached &= passable
-        if reached.equal(before):
+        new = before.bitwise_xor_(reached)
+        if not new.any():
             break
-    unreached = ~reached[1:-1, 1:-1].reshape(height, width, count, size, 1)
-    distance.masked_fill_((unreached & bits).bool(), longest)
+        for place, digit in enumerate(digits):
+            if level >> place & 1:
+                digit |= new
+    for place, digit in enumerate(digits):
+        if longest >> place & 1:
+            digit |= ~reached
+    # eight labels of a byte, each with the digits of its distance
+    distance = free.new_zeros(height, width, count, size, 8, dtype=torch.uint8)
+    for place, digit in enumerate(digits):
+        inner = digit[1:-1, 1:-1].reshape(height, width, count, size, 1)
+        distance |= (inner & bits).clamp_max_(1) << place
     distance = distance.flatten(-2)[..., :targets].permute(2, 0, 1, 3)
     return distance.reshape(count, height * width, targets)

@@ -21,7 +21,7 @@ from marl_explore.planners.board import Board, board, codes
 _MOVES = NUM_DIRECTIONS + 1  # and STAY
 _HIDDEN = torch.iinfo(torch.int16).max
 """More than any distance."""
-MOST_TARGETS = 256
+MOST_TARGETS = 128
 """Unknown cells to which distances are measured; of more, some stand for all."""
 LONGEST = _HIDDEN // MOST_TARGETS
 """What longer distances count as, so that int16 holds their sum."""
