@@ -133,7 +133,7 @@ class BeamSearch:
         height, width = unknown.shape[-2:]
         tables = board(height, width, radius, unknown.device)
         target, share = _targets(unknown.flatten(1))
-        distance = path_distances(~occupied, target, LONGEST).short()
+        distance = path_distances(~occupied, target, LONGEST).short().contiguous()
         problem = Problem(tables, occupied.flatten(1), target, share, distance)
         plans = _start(unknown.flatten(1), flat_cell(position, width))
         weight = 1.0
