@@ -78,6 +78,13 @@ def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dic
     from marl_explore import planners as p
 
     share_out = partial(p.FrontierAssignment, range_cells=config.communication_cells)
+
+    def auctions(rule: CommunicationRule, by_number: bool) -> dict[str, Planner]:
+        return {
+            f"cost {cost}": share_out(rule, assign=p.UtilityCost(cost, by_number=by_number))
+            for cost in (0.05, 0.1, 0.2)
+        }
+
     searches = {
         f"beams {width}, discount {discount}": p.BeamSearch(width=width, discount=discount)
         for width, discount in ((24, 0.95), (48, 0.95), (24, 0.9))
@@ -86,13 +93,8 @@ def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dic
         "nearest": lambda rule: {"": p.NearestFrontier(rule)},
         "nearest-timer": lambda rule: {"": p.NearestFrontier(rule)},
         "fpr-greedy": lambda rule: {"": p.FPRGreedy(rule)},
-        **{
-            name: lambda rule, by_number=by_number: {
-                f"cost {cost}": share_out(rule, assign=p.UtilityCost(cost, by_number=by_number))
-                for cost in (0.05, 0.1, 0.2)
-            }
-            for name, by_number in (("utility-cost", False), ("sequential", True))
-        },
+        "utility-cost": partial(auctions, by_number=False),
+        "sequential": partial(auctions, by_number=True),
         "hungarian": lambda rule: {"": share_out(rule, assign=p.hungarian)},
         "hedac": lambda rule: {
             f"loss {loss}": p.HEDAC(rule, config, loss) for loss in (0.02, 0.05, 0.2)

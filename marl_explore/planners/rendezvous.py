@@ -80,17 +80,22 @@ class Rendezvous(Planner):
         reach = in_range(position, self.range_cells)
         seen = self._remember(now, grid, position, reach)
         near = reach.sum(-1) > 1
-        target = target_cells(grid == OCCUPIED, position.unsqueeze(-2))
-        unknown = (grid == UNKNOWN) & target & ~seen.covered
+        complete = ~frontier_mask(grid).flatten(-2).any(-1)
+        unknown = _worth_seeing(grid, position, ~complete) & ~seen.covered
         left = unknown.flatten(-2).any(-1)
         self._idle = torch.where(left | (now == 0), 0, self._idle + 1)
         forget = self._idle >= self.patience_steps
         self._idle = self._idle.masked_fill(forget, 0)
         seen.covered = seen.covered & ~forget[..., None, None]
 
-        move = self._meet(grid, position, near, seen)
-        nearest, length = nearest_frontier(grid, position)
-        move = torch.where(left, torch.where(length > 0, nearest, STAY), move)
+        move = torch.full_like(position[..., 0], STAY)
+        meets = ~left & ~complete & (seen.step.amax(-1) >= 0)
+        if meets.any():
+            move[meets] = _towards(grid[meets], position[meets], seen.last_place()[meets])
+        move = move.masked_fill(~left & near, COMMUNICATE)
+        if left.any():
+            nearest, length = nearest_frontier(grid[left], position[left])
+            move[left] = torch.where(length > 0, nearest, STAY)
         sight = self.search.horizon + self.radius
         within = straight_distances(position, *grid.shape[-2:]) <= sight
         rows = left & (unknown & within).flatten(-2).any(-1)
@@ -135,22 +140,26 @@ class Rendezvous(Planner):
         )
         return first[mine, me], fruitful
 
-    def _meet(self, grid: Tensor, position: Tensor, near: Tensor, seen: Sightings) -> Tensor:
-        """Communicate in range, else walk towards whom was seen last, int64 [B, N]."""
-        direction, length = paths(grid, position)
-        latest = seen.step.argmax(-1)
-        index = latest[..., None, None].expand(*latest.shape, 1, 2)
-        place = seen.cell.gather(2, index).squeeze(2)
-        apart = straight_distances(place, *grid.shape[-2:])
-        # of the cells that a path leads to, the nearest to that place; then the nearest to oneself
-        order = (apart * length[0].numel() + length).masked_fill(length == 0, torch.inf).flatten(-2)
-        cell = order.argmin(-1, keepdim=True)
-        own = flat_cell(position, grid.shape[-1]).unsqueeze(-1)
-        nearer = apart.flatten(-2).gather(-1, cell) < apart.flatten(-2).gather(-1, own)
-        complete = ~frontier_mask(grid).flatten(-2).any(-1)
-        walks = nearer.squeeze(-1) & (seen.step.amax(-1) >= 0) & ~complete
-        move = torch.where(walks, direction.flatten(-2).gather(-1, cell).squeeze(-1), STAY)
-        return move.masked_fill(near, COMMUNICATE)
+
+def _worth_seeing(grid: Tensor, position: Tensor, rows: Tensor) -> Tensor:
+    """Unknown cells of maps [B, N, H, W] that a robot can come to see, in the rows bool [B, N]."""
+    unknown = torch.zeros_like(grid, dtype=torch.bool)
+    if rows.any():
+        target = target_cells(grid[rows] == OCCUPIED, position[rows].unsqueeze(-2))
+        unknown[rows] = (grid[rows] == UNKNOWN) & target
+    return unknown
+
+
+def _towards(grid: Tensor, position: Tensor, place: Tensor) -> Tensor:
+    """First moves on maps [M, H, W] to cells as near as can be to places [M, 2], int64 [M]."""
+    direction, length = paths(grid, position)
+    apart = straight_distances(place, *grid.shape[-2:])
+    # of the cells that a path leads to, the nearest to that place; then the nearest to oneself
+    order = (apart * length[0].numel() + length).masked_fill(length == 0, torch.inf).flatten(-2)
+    cell = order.argmin(-1, keepdim=True)
+    own = flat_cell(position, grid.shape[-1]).unsqueeze(-1)
+    nearer = apart.flatten(-2).gather(-1, cell) < apart.flatten(-2).gather(-1, own)
+    return torch.where(nearer, direction.flatten(-2).gather(-1, cell), STAY).squeeze(-1)
 
 
 class _Window:
