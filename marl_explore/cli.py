@@ -4,18 +4,67 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ArenaConfig, require_integer
 from marl_explore.interrupts import RunInterruptedError
 
+if TYPE_CHECKING:
+    from marl_explore.evaluation import Actor
+
 Arguments = TypeVar("Arguments")
+TaskArguments = TypeVar("TaskArguments", bound="Task")
 
 OPTIONS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff)
 """Flags carry the names of the configuration's fields, without the path to them."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Policies that meet the same test arenas."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Run folders, policy files, bundled policies or planners."""
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+    arenas: str = "uniform"
+    """A suite, whose size and density then are the arena's, or uniform."""
+    steps: int | None = None
+    """Most steps of an episode; default: the suite's, 300 for uniform arenas."""
+    seed: int = 0
+    """Seed of the arenas and of sampled actions."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if self.steps is not None:
+            require_integer("steps", self.steps, 1)
+        require_integer("seed", self.seed, 0)
+
+    def find_policies(self) -> dict[str, Actor]:
+        """The policies by name, ready to act on the arenas.
+
+        Raises:
+            ValueError: when there are none, or one is unknown.
+        """
+        from marl_explore.evaluation import find_policy
+
+        if not self.policies:
+            raise ValueError("name at least one policy, such as random or a run folder")
+        return {name: find_policy(name, self.arena) for name in self.policies}
+
+
+def parse_task(kind: type[TaskArguments], prog: str, description: str | None) -> TaskArguments:
+    """Read a command line; a trained policy's arena is the default of the arena's flags."""
+    return tyro.cli(
+        kind,
+        prog=prog,
+        description=description,
+        default=kind((), *default_task(sys.argv[1:])),
+        config=OPTIONS,
+    )
 
 
 def named_arenas(words: Sequence[str]) -> str | None:

@@ -5,7 +5,7 @@ python recipes/leaderboard.py nearest-timer random --suites paper-12 rooms-32
 python recipes/leaderboard.py learned=runs/seed-0,runs/seed-1 nearest-timer --out boards/mine
 
 Every policy on every suite is one file in OUT/cells: an interrupted run goes on where it was, and
-a later one only measures what is new.
+a later one only measures what is new or was measured by other code.
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 ARENAS = ((12, 200), (24, 50))
 """Test arenas up to a size of side x side cells; beyond, planning takes long: 20."""
-JOINT = ("rendezvous", "central", "clairvoyant")
-"""Planners that on large arenas must be asked for by name."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +34,8 @@ class Arguments:
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Planners, run folders, policy files or bundled policies; NAME=POLICY,POLICY,... makes one
-    row of several training seeds; default: all planners, but those that plan jointly (rendezvous,
-    central, clairvoyant) only up to 12 x 12 cells, since they take hours on larger arenas."""
+    row of several training seeds; bound is the fewest steps that could be; default: all
+    planners and bound."""
     suites: tuple[str, ...] = ()
     """Suites of arenas; default: all."""
     num_arenas: int | None = None
@@ -77,7 +75,7 @@ def run(arguments: Arguments) -> None:
     record = runs.provenance() | {"settings": asdict(arguments)}
     if not (arguments.out / "cells").is_dir():
         runs.require_new(arguments.out)
-    entries = leaderboard.parse_entries(arguments.policies or list(PLANNERS))
+    entries = leaderboard.parse_entries(arguments.policies or (*PLANNERS, leaderboard.BOUND))
     suites = [suite(name) for name in arguments.suites or list_suites()[1:]]
 
     def cell(policy: str, place: Suite) -> Cell:
@@ -91,12 +89,7 @@ def run(arguments: Arguments) -> None:
         )
 
     def cells(place: Suite) -> dict[str, list[Cell]]:
-        joint = arguments.policies or place.config.num_cells <= ARENAS[0][0] ** 2
-        return {
-            entry.name: [cell(policy, place) for policy in entry.policies]
-            for entry in entries
-            if joint or entry.name not in JOINT
-        }
+        return {e.name: [cell(policy, place) for policy in e.policies] for e in entries}
 
     wanted = {place.id: cells(place) for place in suites}
     all_cells = [c for rows in wanted.values() for row in rows.values() for c in row]

@@ -8,64 +8,41 @@ trained policy was trained for, changed by the flags.
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from marl_explore import cli
-from marl_explore.config import ArenaConfig, require_integer
+from marl_explore.config import require_integer
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(cli.Task):
     """Which policies, on which arena."""
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Run folders, policy files, bundled policies or planners."""
-    arena: ArenaConfig = field(default_factory=ArenaConfig)
-    arenas: str = "uniform"
-    """A suite, whose size and density then are the arena's, or uniform."""
     arena_index: int = 0
     """Test arena; those of evaluate.py are 0, 1, 2, ..."""
-    seed: int = 0
-    """Seed of the arena and of sampled actions."""
-    steps: int | None = None
-    """Most steps of an episode; default: the suite's, 300 for uniform arenas."""
     out: Path = Path("replay.html")
     """File to write; an earlier one is replaced."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
+        super().__post_init__()
         require_integer("arena_index", self.arena_index, 0)
-        require_integer("seed", self.seed, 0)
-        if self.steps is not None:
-            require_integer("steps", self.steps, 1)
 
 
 def parse() -> Arguments:
-    """Read the command line; a trained policy's arena is the default of the arena's flags."""
-    return tyro.cli(
-        Arguments,
-        prog="replay.py",
-        description=__doc__,
-        default=Arguments((), *cli.default_task(sys.argv[1:])),
-        config=cli.OPTIONS,
-    )
+    """Read the command line."""
+    return cli.parse_task(Arguments, "replay.py", __doc__)
 
 
 def run(arguments: Arguments) -> None:
     """Let every policy explore the arena, and write the page."""
     from marl_explore import runs
-    from marl_explore.evaluation import find_policy, watch
+    from marl_explore.evaluation import watch
     from marl_explore.replay import write_replay
 
-    if not arguments.policies:
-        raise ValueError("name at least one policy, such as random or a run folder")
     record = runs.provenance()
-    policies = {name: find_policy(name, arguments.arena) for name in arguments.policies}
+    policies = arguments.find_policies()
     episodes = {
         name: watch(
             policy,

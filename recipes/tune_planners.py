@@ -2,13 +2,17 @@
 
 python recipes/tune_planners.py utility-cost
 
-Copy this file and change the settings: nothing here touches the test arenas.
+python recipes/tune_planners.py rendezvous --rules "clock 8, 14 + 3 n" "timer 5"
+
+Every setting of a planner is compared under every rule of communication. Copy this file and change
+the settings: nothing here touches the test arenas.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -17,7 +21,8 @@ from marl_explore import cli
 from marl_explore.config import ArenaConfig, require_integer
 
 if TYPE_CHECKING:
-    from tensordict.nn import TensorDictModuleBase
+    from marl_explore.planners import Planner
+    from marl_explore.planners.communication import CommunicationRule
 
 MEASURES = (
     "steps_to_95",
@@ -26,6 +31,8 @@ MEASURES = (
     "communication_share_before_completion",
     "useful_share_before_completion",
 )
+REFERENCES = ("central", "clairvoyant")
+"""Planners that never communicate."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,9 @@ class Arguments:
     """Which planner, on how many arenas."""
 
     planner: Annotated[str, tyro.conf.Positional]
-    """nearest-timer, utility-cost, hedac or rendezvous."""
+    """Any planner but random, which has no settings."""
+    rules: tuple[str, ...] = ()
+    """Rules of communication, such as "timer 5"; default: all."""
     num_arenas: int = 100
     """Validation arenas of the paper's size."""
     steps: int = 120
@@ -45,41 +54,77 @@ class Arguments:
         require_integer("steps", self.steps, 1)
 
 
-def candidates(planner: str, config: ArenaConfig) -> dict[str, TensorDictModuleBase]:
-    """The settings of a planner that are compared, by a name for each."""
+def rules(config: ArenaConfig) -> dict[str, CommunicationRule]:
+    """The rules of communication that are compared, by a name for each."""
     from marl_explore import planners as p
 
     reach = config.communication_cells
-    families: dict[str, Callable[[], dict[str, TensorDictModuleBase]]] = {
-        "nearest-timer": lambda: {
-            f"timer {k}": p.NearestFrontier(p.PairTimer(k, reach)) for k in (4, 5, 6, 8)
-        },
-        "utility-cost": lambda: {
-            f"timer {k}, cost {c}": p.FrontierAssignment(
-                p.PairTimer(k, reach), reach, p.UtilityCost(c)
+    clocks = (((), 12, 3), ((), 9, 4), ((8,), 14, 3), ((8,), 13, 3), ((7, 11), 15, 2))
+    return {
+        "never": p.never,
+        **{f"timer {k}": p.PairTimer(k, reach) for k in (4, 5, 6, 8)},
+        **{f"gain {cells}": p.GainThreshold(cells, reach) for cells in (5, 10, 20)},
+        **{
+            f"clock {', '.join(map(str, (*early, start)))} + {period} n": p.SharedClock(
+                start, period, reach, early
             )
-            for k in (4, 5, 6)
-            for c in (0.05, 0.1, 0.2)
-        },
-        "hedac": lambda: {
-            f"timer 5, loss {loss}": p.HEDAC(p.PairTimer(5, reach), config, loss)
-            for loss in (0.02, 0.05, 0.2)
-        },
-        "rendezvous": lambda: {
-            f"exchange at {[*early, start]} + {period} n, memory {memory}": p.Rendezvous(
-                config, p.SharedClock(start, period, reach, early), memory_steps=memory
-            )
-            for early, start, period, memory in (
-                ((), 12, 3, 8),
-                ((), 12, 3, 3),
-                ((), 9, 4, 8),
-                ((8,), 14, 3, 3),
-            )
+            for early, start, period in clocks
         },
     }
-    if planner not in families:
-        raise ValueError(f"planner={planner!r} is not one of {list(families)}")
-    return families[planner]()
+
+
+def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dict[str, Planner]]]:
+    """From a rule to the settings of every planner that are compared, by a name for each."""
+    from marl_explore import planners as p
+
+    share_out = partial(p.FrontierAssignment, range_cells=config.communication_cells)
+
+    def auctions(rule: CommunicationRule, by_number: bool) -> dict[str, Planner]:
+        return {
+            f"cost {cost}": share_out(rule, assign=p.UtilityCost(cost, by_number=by_number))
+            for cost in (0.05, 0.1, 0.2)
+        }
+
+    searches = {
+        f"beams {width}, discount {discount}": p.BeamSearch(width=width, discount=discount)
+        for width, discount in ((24, 0.95), (48, 0.95), (24, 0.9))
+    }
+    return {
+        "nearest": lambda rule: {"": p.NearestFrontier(rule)},
+        "nearest-timer": lambda rule: {"": p.NearestFrontier(rule)},
+        "fpr-greedy": lambda rule: {"": p.FPRGreedy(rule)},
+        "utility-cost": partial(auctions, by_number=False),
+        "sequential": partial(auctions, by_number=True),
+        "hungarian": lambda rule: {"": share_out(rule, assign=p.hungarian)},
+        "hedac": lambda rule: {
+            f"loss {loss}": p.HEDAC(rule, config, loss) for loss in (0.02, 0.05, 0.2)
+        },
+        "rendezvous": lambda rule: {
+            f"memory {memory}, {name}": p.Rendezvous(config, rule, search, memory_steps=memory)
+            for memory in (3, 8)
+            for name, search in searches.items()
+        },
+        "central": lambda rule: {n: p.Central(config, search) for n, search in searches.items()},
+        "clairvoyant": lambda rule: {
+            n: p.Clairvoyant(config, search) for n, search in searches.items()
+        },
+    }
+
+
+def candidates(arguments: Arguments, config: ArenaConfig) -> dict[str, Planner]:
+    """The settings of a planner that are compared, by a name for each."""
+    known, settings = rules(config), families(config)
+    if arguments.planner not in settings:
+        raise ValueError(f"planner={arguments.planner!r} is not one of {list(settings)}")
+    chosen = arguments.rules or (("never",) if arguments.planner in REFERENCES else tuple(known))
+    for name in chosen:
+        if name not in known:
+            raise ValueError(f"rules={name!r} is not one of {list(known)}")
+    return {
+        ", ".join(filter(None, (rule, setting))): planner
+        for rule in chosen
+        for setting, planner in settings[arguments.planner](known[rule]).items()
+    }
 
 
 def parse() -> Arguments:
@@ -94,7 +139,7 @@ def run(arguments: Arguments) -> None:
 
     config = ArenaConfig()
     rows = []
-    for name, planner in candidates(arguments.planner, config).items():
+    for name, planner in candidates(arguments, config).items():
         measures = evaluate(
             planner,
             config,

@@ -12,10 +12,11 @@ import pytest
 
 from marl_explore import leaderboard, metrics, plots, stats
 from marl_explore.arenas import suite
+from marl_explore.env import ExplorationEnv
 from marl_explore.evaluation import find_policy, record
-from marl_explore.leaderboard import Cell, Entry, cells, parse_entries, rank
+from marl_explore.leaderboard import Cell, Entry, cells, code, parse_entries, rank
 from marl_explore.leaderboard.table import COLUMNS, format_markdown, format_text
-from marl_explore.planners import PLANNERS, RandomWalk
+from marl_explore.planners import PLANNERS, RandomWalk, counting_bound
 
 PAPER = suite("paper-12")
 CELL = Cell("nearest-timer", PAPER, num_arenas=3, steps=25, seed=1)
@@ -109,6 +110,49 @@ def test_a_cell_of_other_settings_is_refused_before_anything_is_measured(tmp_pat
     with pytest.raises(ValueError, match=r"num_arenas was 3 and now is 4; seed was 1 and now is 2"):
         leaderboard.make_cells(tmp_path, [new, replace(CELL, num_arenas=4, seed=2)], progress=False)
     assert not (tmp_path / new.file_name).exists()
+
+
+def test_a_cell_of_other_code_is_measured_anew(tmp_path, monkeypatch):
+    old = leaderboard.make_cells(tmp_path, [CELL], progress=False)[CELL]
+    monkeypatch.setattr(cells, "code_digest", lambda planner: "other")
+    monkeypatch.setitem(PLANNERS, CELL.policy, lambda config: RandomWalk())
+    new = leaderboard.make_cells(tmp_path, [CELL], progress=False)[CELL]
+    assert new["settings"]["code"] == "other"
+    assert new["scores"] != old["scores"]
+    assert json.loads((tmp_path / CELL.file_name).read_text()) == new
+
+
+def test_the_code_of_a_cell_is_what_it_does_and_not_what_it_says(tmp_path):
+    module = tmp_path / "rules.py"
+
+    def digest(source):
+        module.write_text(source)
+        return code.digest([tmp_path])
+
+    first = digest('"""Rules."""\n\ndef cost(x):\n    """A cost."""\n    return 2 * x  # twice\n')
+    assert digest('def cost(x):\n    """Its price."""\n\n    return (2 * x)\n') == first
+    assert digest("def cost(x):\n    return 3 * x\n") != first
+    planners, trained = code.code_digest(planner=True), code.code_digest(planner=False)
+    assert planners != trained
+    assert cells.measure(CELL)["settings"]["code"] == planners
+
+
+def test_the_bound_is_a_reference_without_episodes(tmp_path):
+    bound = replace(CELL, policy=leaderboard.BOUND)
+    results = leaderboard.make_cells(tmp_path, [CELL, bound], progress=False)
+    env = ExplorationEnv(PAPER.config, 3, seed=1, stream="test", arenas="paper-12")
+    expected = counting_bound(PAPER.config, env.reset()).tolist()
+    assert results[bound]["scores"] == {"steps_to_100": expected}
+    rows = rank({cell.policy: [result] for cell, result in results.items()})
+    assert [(row.name, row.reference) for row in rows] == [
+        ("nearest-timer", False),
+        ("bound", True),
+    ]
+    shown = dict(zip(COLUMNS, (cell(rows[1]) for cell in COLUMNS.values()), strict=True))
+    assert shown["steps to 100 %"].startswith(f"{np.mean(expected):.1f} [")
+    assert shown["complete"] == shown["steps to 95 %"] == "-"
+    page = leaderboard.write_report(tmp_path / "a.html", [rows]).read_text()
+    assert '<th scope="row">bound</th>' in page
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}"])

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from marl_explore import ArenaConfig
+from marl_explore.planners import PLANNERS, Planner
 from marl_explore.policies import load_policy
+from recipes import tune_planners as tune
 
 ROOT = Path(__file__).parents[1]
 TINY = (
@@ -215,9 +218,11 @@ def test_help(name):
         (["train.py", "fast", "--gamma", "2"], "gamma=2.0"),
         (["train.py", "fast", "--num-agents", "500"], "num_agents=500"),
         (["train.py", "fast", "--obstacle-density", "0.9"], "obstacle_density=0.9"),
-        (["train.py", "fast", "--arenas", "rooms"], "arenas='rooms' is unknown"),
-        (["train.py", "fast", "--arenas=rooms-32", "--height", "9"], "config.height=9"),
-        (["evaluate.py", "random", "--arenas", "rooms-32", "--width", "9"], "config.width=9"),
+        (["train.py", "fast", "--arenas", "rooms"], "arenas='rooms' is no suite"),
+        (["train.py", "fast", "--arenas=rooms-32", "--height", "9"], "error: height=9"),
+        (["evaluate.py", "random", "--arenas", "rooms-32", "--width", "9"], "error: width=9"),
+        (["evaluate.py", "random", "--arenas", "maze-32", "--obstacle-density", "0.1"], "has 0.27"),
+        (["leaderboard.py", "random", "--suites", "uniform"], "arenas='uniform' is no suite"),
         (["train.py", "fast", "--reward", "fame"], "reward='fame' is unknown"),
         (["evaluate.py", "nobody"], "no policy 'nobody'"),
         (["evaluate.py"], "name at least one policy"),
@@ -228,7 +233,7 @@ def test_help(name):
         (["replay.py", "random", "--arena-index", "-1"], "arena_index=-1"),
         (["replay.py", "random", "--steps", "0"], "steps=0"),
         (["leaderboard.py", "nobody"], "no policy 'nobody'"),
-        (["leaderboard.py", "random", "--suites", "rooms"], "arenas='rooms' is unknown"),
+        (["leaderboard.py", "random", "--suites", "rooms"], "arenas='rooms' is no suite"),
         (["leaderboard.py", "random", "--num-arenas", "0"], "num_arenas=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
         (["train.py", "fast", "--workers", "2"], "workers=2 is not allowed with collector='pr"),
@@ -266,10 +271,25 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
 
 
 def test_settings_of_a_planner_are_compared():
-    done = recipe("tune_planners.py", "nearest-timer", "--num-arenas", "2", "--steps", "5")
+    few = ["--num-arenas", "2", "--steps", "5"]
+    done = recipe("tune_planners.py", "hedac", "--rules", "timer 5", "gain 10", *few)
     assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert [line.split()[:2] for line in lines[2:]] == [["timer", k] for k in "4568"]
+    settings = [line.strip().split("  ")[0] for line in done.stdout.splitlines()[2:]]
+    assert settings == [
+        f"{rule}, loss {loss}" for rule in ("timer 5", "gain 10") for loss in (0.02, 0.05, 0.2)
+    ]
     refused = recipe("tune_planners.py", "nobody")
     assert refused.returncode == 1
-    assert "planner='nobody' is not one of ['nearest-timer'" in refused.stderr
+    assert "planner='nobody' is not one of ['nearest'" in refused.stderr
+    refused = recipe("tune_planners.py", "hedac", "--rules", "smoke")
+    assert "rules='smoke' is not one of ['never'" in refused.stderr
+
+
+def test_all_planners_with_settings_can_be_compared():
+    config = ArenaConfig()
+    assert {*tune.families(config)} == {*PLANNERS} - {"random"}
+    for name in tune.families(config):
+        found = tune.candidates(tune.Arguments(name), config)
+        assert all(isinstance(planner, Planner) for planner in found.values())
+        rules = 1 if name in tune.REFERENCES else len(tune.rules(config))
+        assert len(found) % rules == 0

@@ -31,7 +31,7 @@ class Suite:
     version: int
     """Counts up when other arenas come out."""
     config: ArenaConfig
-    """Size and mean obstacle density; number of robots and ranges may be replaced."""
+    """Size and mean obstacle density, which are the suite's; robots and ranges may be replaced."""
     make: Callable[[ArenaConfig], Generator]
     """From a configuration to the generator of its arenas."""
     digest: str
@@ -39,8 +39,6 @@ class Suite:
     steps: int
     """Length of an evaluation: the paper's 300, or nearly twice what nearest-frontier robots that
     never communicate take."""
-    fixed: tuple[str, ...] = ("height", "width")
-    """Fields of ``config`` that make these arenas what they are."""
 
     @property
     def id(self) -> str:
@@ -55,14 +53,14 @@ class Suite:
         """The suite's generator for the robots of ``config``.
 
         Raises:
-            ValueError: when a fixed field is not the suite's.
+            ValueError: when size or density are not the suite's.
         """
-        for name in self.fixed:
+        for name in _ARENA_FIELDS:
             value, own = getattr(config, name), getattr(self.config, name)
             if value != own:
                 raise ValueError(
-                    f"config.{name}={value} is not allowed: arenas={self.id!r} has {own}; start "
-                    f"from marl_explore.arenas.suite({self.id!r}).config"
+                    f"{name}={value} is not allowed: arenas={self.id!r} has {own}; leave {name} "
+                    "to the suite"
                 )
         return self.make(config)
 
@@ -91,7 +89,6 @@ SUITES = (
         make=Uniform,
         digest="244b534f290772c6bad2d8b5edb413cd00f4a9fc4566b84f334adb1ae141db48",
         steps=300,
-        fixed=_ARENA_FIELDS,
     ),
     Suite(
         name="open-24",
@@ -100,7 +97,6 @@ SUITES = (
         make=Uniform,
         digest="6273fdd9915be7c28d867a1c27c343aa63d15f2deb48c32fdb90ca12836ca290",
         steps=500,
-        fixed=_ARENA_FIELDS,
     ),
     Suite(
         name="rooms-32",
@@ -150,5 +146,8 @@ def suite(name: str) -> Suite:
     """
     found = [entry for entry in SUITES if name in (entry.id, entry.name)]
     if not found:
-        raise ValueError(f"arenas={name!r} is unknown: use a callable or one of {list_suites()}")
+        known = [entry.id for entry in SUITES]
+        raise ValueError(
+            f"arenas={name!r} is no suite: use one of {known}; uniform arenas have none"
+        )
     return max(found, key=lambda entry: entry.version)

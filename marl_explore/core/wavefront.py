@@ -92,34 +92,46 @@ def _spread(front: Tensor, passable: Tensor, sideways: Tensor, upright: Tensor) 
     front[:, inner] |= upright[:, 2:]
 
 
-def all_distances(free: Tensor, longest: int = ALL) -> Tensor:
-    """Lengths of the shortest 8-connected paths between all cells, uint8 [M, H W, H W].
+def path_distances(free: Tensor, target: Tensor, longest: int = ALL) -> Tensor:
+    """Lengths of the shortest 8-connected paths from all cells to some, uint8 [M, H W, U].
 
     Args:
         free: cells that paths may use, bool [M, H, W]; a diagonal is closed between two others.
+        target: different cells of each flattened grid, int64 [M, U].
         longest: what longer paths, and cells that cannot be reached, count as, at most ALL.
     """
     count, height, width = free.shape
-    cells = height * width
-    size = -(-cells // 8)
+    targets = target.shape[1]
+    size = -(-targets // 8)
     bits = 1 << torch.arange(8, dtype=torch.uint8, device=free.device)
-    own = torch.nn.functional.pad(torch.eye(cells, device=free.device), (0, 8 * size - cells))
-    own = (own.view(cells, size, 8).byte() * bits).sum(-1, dtype=torch.uint8)
-    # a label is a target cell: eight to a byte, all bytes of all grids side by side
+    # a label is a target: eight to a byte, all bytes of all grids side by side
+    label = bits.repeat(size)[:targets].expand(count, -1)
+    byte = torch.arange(targets, device=free.device) // 8
+    own = free.new_zeros(count, height * width * size, dtype=torch.uint8)
+    own.scatter_add_(1, target * size + byte, label)
     passable = mask(batch_last(free, border=0)).repeat_interleave(size, -1)
     reached = torch.zeros_like(passable)
-    reached[1:-1, 1:-1] = own.view(height, width, 1, size).expand(-1, -1, count, -1).flatten(-2)
+    reached[1:-1, 1:-1] = own.view(count, height, width, size).permute(1, 2, 0, 3).flatten(-2)
     reached &= passable
     sideways, upright = torch.zeros_like(reached), torch.zeros_like(reached)
-    distance = torch.zeros(height, width, count, size, 8, dtype=torch.uint8, device=free.device)
-    for _ in range(longest):
-        missing = ~reached[1:-1, 1:-1].reshape(height, width, count, size, 1)
-        distance += (missing & bits).clamp_max_(1)
+    digits = [torch.zeros_like(reached) for _ in range(longest.bit_length())]
+    for level in range(1, longest):
         before = reached.clone()
         _spread(reached, passable, sideways, upright)
         reached &= passable
-        if reached.equal(before):
+        new = before.bitwise_xor_(reached)
+        if not new.any():
             break
-    unreached = ~reached[1:-1, 1:-1].reshape(height, width, count, size, 1)
-    distance.masked_fill_((unreached & bits).bool(), longest)
-    return distance.flatten(-2)[..., :cells].permute(2, 0, 1, 3).reshape(count, cells, cells)
+        for place, digit in enumerate(digits):
+            if level >> place & 1:
+                digit |= new
+    for place, digit in enumerate(digits):
+        if longest >> place & 1:
+            digit |= ~reached
+    # eight labels of a byte, each with the digits of its distance
+    distance = free.new_zeros(height, width, count, size, 8, dtype=torch.uint8)
+    for place, digit in enumerate(digits):
+        inner = digit[1:-1, 1:-1].reshape(height, width, count, size, 1)
+        distance |= (inner & bits).clamp_max_(1) << place
+    distance = distance.flatten(-2)[..., :targets].permute(2, 0, 1, 3)
+    return distance.reshape(count, height * width, targets)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from marl_explore.leaderboard.cells import Cell, make_cells
+from marl_explore.leaderboard.cells import BOUND, Cell, make_cells
 from marl_explore.leaderboard.entries import Entry, parse_entries
 from marl_explore.leaderboard.ranking import Row, rank
 from marl_explore.leaderboard.report import write_report
 from marl_explore.leaderboard.table import write_tables
 
 __all__ = [
+    "BOUND",
     "Cell",
     "Entry",
     "Row",

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,21 @@ from tqdm import tqdm
 
 from marl_explore import metrics, runs
 from marl_explore.arenas import Suite
+from marl_explore.env import ExplorationEnv
 from marl_explore.evaluation import TEST_STREAM, find_policy, record
 from marl_explore.files import whole_file
+from marl_explore.leaderboard.code import code_digest
 from marl_explore.metrics import Episodes
-from marl_explore.planners import PLANNERS
+from marl_explore.planners import PLANNERS, counting_bound
 from marl_explore.policies import policy_digest
 from marl_explore.stats import middle_half
 
-FORMAT = 1
+FORMAT = 2
 """Counts up when ``measured`` keeps something else."""
+HOW = ("format", "code")
+"""Settings that say how a cell was measured: one that differs in no other is measured anew."""
+BOUND = "bound"
+"""In place of a policy: ``planners.counting_bound``."""
 
 Result = dict[str, Any]
 """The content of a cell's file; ``measure`` says what it holds."""
@@ -47,7 +52,8 @@ class Cell:
         return {
             "format": FORMAT,
             "policy": self.policy,
-            "weights": None if self.policy in PLANNERS else policy_digest(self.policy),
+            "weights": policy_digest(self.policy) if self.trained else None,
+            "code": code_digest(planner=not self.trained),
             "suite": self.suite.id,
             "fingerprint": self.suite.digest,
             "arena": asdict(self.suite.config),
@@ -55,8 +61,12 @@ class Cell:
             "steps": self.steps,
             "seed": self.seed,
             "stream": TEST_STREAM,
-            "marl-explore": version("marl-explore"),
         }
+
+    @property
+    def trained(self) -> bool:
+        """Whether the policy was trained, and is no planner."""
+        return self.policy not in (*PLANNERS, BOUND)
 
     @property
     def file_name(self) -> str:
@@ -70,6 +80,8 @@ class Cell:
 def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> dict[Cell, Result]:
     """The results of all cells: those that the folder holds are read, the others measured.
 
+    A cell that was measured by other code counts as one the folder does not hold.
+
     Args:
         folder: where every cell is kept as soon as it is measured.
         cells: what to measure.
@@ -81,9 +93,11 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
     """
     cells = list(dict.fromkeys(cells))
     for cell in cells:
-        find_policy(cell.policy, cell.suite.config)
+        if cell.policy != BOUND:
+            find_policy(cell.policy, cell.suite.config)
     paths = {cell: folder / cell.file_name for cell in cells}
-    results = {cell: read(path, cell) for cell, path in paths.items() if path.exists()}
+    kept = {cell: read(path, cell) for cell, path in paths.items() if path.exists()}
+    results = {cell: result for cell, result in kept.items() if result is not None}
     folder.mkdir(parents=True, exist_ok=True)
     terminal = sys.stderr.isatty()
     with tqdm(
@@ -103,8 +117,8 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
     return results
 
 
-def read(path: Path, cell: Cell) -> Result:
-    """The result in a file.
+def read(path: Path, cell: Cell) -> Result | None:
+    """The result in a file; None when it was measured by other code.
 
     Raises:
         ValueError: when it is none, or that of another cell, naming the difference.
@@ -116,16 +130,16 @@ def read(path: Path, cell: Cell) -> Result:
         raise ValueError(f"{path} is no cell of a leaderboard: delete it ({error!r})") from error
     wanted = cell.settings
     different = [
-        f"{name} was {made.get(name)!r} and now is {wanted.get(name)!r}"
-        for name in {**made, **wanted}
-        if made.get(name) != wanted.get(name)
+        f"{name} was {made.get(name)!r} and now is {value!r}"
+        for name, value in wanted.items()
+        if name not in HOW and made.get(name) != value
     ]
     if different:
         raise ValueError(
             f"{path} was made under other settings: {'; '.join(different)}. Choose another folder, "
             "or delete the file to measure it again"
         )
-    return result
+    return result if all(made.get(name) == wanted[name] for name in HOW) else None
 
 
 def measure(cell: Cell) -> Result:
@@ -133,10 +147,22 @@ def measure(cell: Cell) -> Result:
 
     Returns:
         "settings", "run" (command, versions, seconds), "planner", "reference" and "sees" of the
-        policy, and ``measured``.
+        policy, and ``measured``; of the bound only its "scores".
     """
     start = time.perf_counter()
     provenance = runs.provenance()
+    numbers = _bound(cell) if cell.policy == BOUND else _played(cell)
+    seconds = round(time.perf_counter() - start, 1)
+    return {
+        "settings": cell.settings,
+        "run": provenance | {"seconds": seconds},
+        "planner": cell.policy in PLANNERS,
+        **numbers,
+    }
+
+
+def _played(cell: Cell) -> dict[str, Any]:
+    """What a policy sees, and how it did."""
     policy = find_policy(cell.policy, cell.suite.config)
     episodes = record(
         policy,
@@ -147,12 +173,24 @@ def measure(cell: Cell) -> Result:
         arenas=cell.suite.id,
     )
     return {
-        "settings": cell.settings,
-        "run": provenance | {"seconds": round(time.perf_counter() - start, 1)},
-        "planner": cell.policy in PLANNERS,
         "reference": bool(getattr(policy, "reference", False)),
         "sees": str(getattr(policy, "sees", "-")),
         **measured(episodes),
+    }
+
+
+def _bound(cell: Cell) -> dict[str, Any]:
+    """The fewest steps that could be, which nobody took: no episode, no other measure."""
+    config = cell.suite.config
+    env = ExplorationEnv(
+        config, cell.num_arenas, arenas=cell.suite.id, seed=cell.seed, stream=TEST_STREAM
+    )
+    steps = counting_bound(config, env.reset())
+    return {
+        "reference": True,
+        "sees": "no policy: cells to see / what all robots can see in a step",
+        "scores": {"steps_to_100": steps.double().tolist()},
+        "shares": {},
     }
 
 

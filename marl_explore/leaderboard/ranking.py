@@ -47,6 +47,11 @@ class Row:
         return self.results[0]["reference"]
 
     @property
+    def played(self) -> bool:
+        """Whether there were episodes; the bound has none."""
+        return "coverage" in self.results[0]
+
+    @property
     def planner(self) -> bool:
         """Whether it is a planner."""
         return self.results[0]["planner"]
@@ -80,7 +85,8 @@ def rank(entries: Mapping[str, Sequence[Result]]) -> list[Row]:
 
 def _place(row: Row) -> tuple[bool, float, float]:
     """What rows are ordered by; coverage decides between those that never complete a map."""
-    steps, coverage = row.scores(RANKED_BY).mean(), row.scores("final_largest_coverage").mean()
+    steps = row.scores(RANKED_BY).mean()
+    coverage = row.scores("final_largest_coverage").mean() if row.played else 0
     return row.reference, float(steps), -float(coverage)
 
 

@@ -53,7 +53,7 @@ def write_report(path: str | Path, boards: Sequence[Sequence[Row]], about: str =
 
 
 def _section(rows: Sequence[Row], order: Sequence[str]) -> str:
-    in_order = sorted(rows, key=lambda row: order.index(row.name))
+    in_order = sorted((row for row in rows if row.played), key=lambda row: order.index(row.name))
     figures = (
         f'<figure><img alt="{escape(CAPTIONS[name])}" src="{source}">'
         f"<figcaption>{escape(CAPTIONS[name])}</figcaption></figure>"

@@ -58,7 +58,7 @@ MEANINGS = {
     "to best planner": "steps to 100 % minus those of the fastest planner that is no reference, on "
     "the same arenas; less than 0 is faster",
     "below the line": "references, which may see what no robot can; what they share costs nothing, "
-    "and the union counts as the map of each robot",
+    "and the union counts as the map of each robot; bound: no team takes fewer steps",
 }
 """What the columns say."""
 

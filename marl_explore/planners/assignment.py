@@ -120,8 +120,8 @@ class FrontierAssignment(Planner):
         others = position.unsqueeze(1).expand(-1, robots, -1, -1)
         _, distance = paths(views, others)
         distance = distance.flatten(-2).float()
-        detour = straight_distances(others, height, width).flatten(-2) + DETOUR
-        distance = torch.where(distance > 0, distance, detour)
+        straight = straight_distances(others, height, width).flatten(-2)
+        distance = torch.where((distance > 0) | (straight == 0), distance, straight + DETOUR)
         rows = torch.arange(robots, device=grid.device)
         distance[:, rows, rows] = own.flatten(-2).float()
 

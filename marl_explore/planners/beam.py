@@ -7,78 +7,28 @@ see, the sooner the better, less how far the cells that stay unknown are from th
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import (
-    COMPASS,
-    NUM_DIRECTIONS,
-    STAY,
-    flat_cell,
-    squares,
-    straight_distances,
-)
-from marl_explore.core.hashing import combine
+from marl_explore.core.grid import NUM_DIRECTIONS, STAY, flat_cell
 from marl_explore.core.mapping import closed_diagonals
-from marl_explore.core.wavefront import all_distances
+from marl_explore.core.wavefront import path_distances
+from marl_explore.planners.board import Board, board, codes
 
 _MOVES = NUM_DIRECTIONS + 1  # and STAY
-_ALL, _FAR = 255, 255
-MOST_CELLS_WITH_PATHS = 400
-"""On larger grids distances are those of an empty one: paths between all cells cost too much."""
-_MOVE_PLACES = [3 * (1 + row) + 1 + column for row, column in (*COMPASS, (0, 0))]
-"""Places of the moves in a flattened 3 x 3 square."""
+_HIDDEN = torch.iinfo(torch.int16).max
+"""More than any distance."""
+MOST_TARGETS = 128
+"""Unknown cells to which distances are measured; of more, some stand for all."""
+LONGEST = _HIDDEN // MOST_TARGETS
+"""What longer distances count as, so that int16 holds their sum."""
 _FAVOUR = 1e-3
 """What a move is worth more than to stay; equal plans differ by less."""
-
-
-class Board(NamedTuple):
-    """What follows from the size of a grid of C = H W cells; off it the own cell stands in."""
-
-    near: Tensor
-    """Cells of the eight moves and of staying, int64 [C, 9]."""
-    inside: Tensor
-    """Whether they are on the grid, bool [C, 9]."""
-    seen: Tensor
-    """Cells in view, int64 [C, (2k + 1)^2]."""
-    around: Tensor
-    """Cells in view after some move, int64 [C, (2k + 3)^2]."""
-    distance: Tensor
-    """Moves between two cells of an empty grid, uint8 [1, C, C], at most _FAR."""
-    place: Tensor
-    """Numbers whose sums tell apart the middles between two cells, int64 [C]."""
-
-
-@lru_cache(maxsize=8)
-def board(height: int, width: int, radius: int, device: torch.device) -> Board:
-    """The tables of a grid and a field of view."""
-    row, column = torch.meshgrid(
-        torch.arange(height, device=device), torch.arange(width, device=device), indexing="ij"
-    )
-    cells = torch.stack((row, column), -1).flatten(0, 1)
-
-    def shifted(offsets: Tensor) -> tuple[Tensor, Tensor]:
-        place = cells.unsqueeze(1) + offsets
-        size = torch.tensor((height, width), device=device)
-        inside = ((place >= 0) & (place < size)).all(-1)
-        own = torch.arange(len(cells), device=device).unsqueeze(-1)
-        return torch.where(inside, flat_cell(place, width), own), inside
-
-    near, inside = shifted(torch.tensor((*COMPASS, (0, 0)), device=device))
-    apart = straight_distances(cells, height, width).flatten(-2)
-    return Board(
-        near=near,
-        inside=inside,
-        seen=squares(height, width, radius, device),
-        around=squares(height, width, radius + 1, device),
-        distance=apart.clamp_max(_FAR).to(torch.uint8).unsqueeze(0),
-        place=flat_cell(cells, 2 * width),
-    )
+_AT_ONCE = 2**21
+"""Distances that a turn looks at together: what a processor's cache holds."""
 
 
 class Plans(NamedTuple):
@@ -91,7 +41,7 @@ class Plans(NamedTuple):
     first: Tensor
     """Its first move, int64 [M, K, N]."""
     unknown: Tensor
-    """Cells that are still unknown, uint8 [M, K, C], _ALL or 0."""
+    """Cells that are still unknown, int16 [M, K, C], _HIDDEN or 0."""
     code: Tensor
     """Hash of the unknown cells, int64 [M, K]."""
     seen: Tensor
@@ -99,16 +49,11 @@ class Plans(NamedTuple):
 
     def of(self, parent: Tensor) -> Plans:
         """The plans with the indices int64 [M, K']."""
+        problems, plans = self.code.shape
+        first = plans * torch.arange(problems, device=parent.device)
+        row = (parent + first.unsqueeze(-1)).flatten()
         return Plans(
-            *(
-                entry.gather(
-                    1,
-                    parent.view(*parent.shape, *[1] * (entry.ndim - 2)).expand(
-                        *parent.shape, *entry.shape[2:]
-                    ),
-                )
-                for entry in self
-            )
+            *(e.flatten(0, 1).index_select(0, row).view(*parent.shape, *e.shape[2:]) for e in self)
         )
 
 
@@ -118,13 +63,15 @@ class Problem(NamedTuple):
     board: Board
     occupied: Tensor
     """Known obstacles, bool [M, C]."""
-    present: Tensor
-    """Robots that take part, bool [M, N]."""
+    target: Tensor
+    """The unknown cells that stand for all, then others, int64 [M, U]."""
+    share: Tensor
+    """How many unknown cells one of them stands for, float32 [M]."""
     distance: Tensor
-    """Moves between two cells, uint8 [M or 1, C, C], at most _FAR."""
+    """Moves from all cells to those, int16 [M, C, U]."""
 
     def away(self, cell: Tensor) -> Tensor:
-        """Moves from cells int64 [M, ...] to all cells, uint8 [M, ..., C]."""
+        """Moves from cells int64 [M, ...] to the targets, int16 [M, ..., U]."""
         count, cells, _ = self.distance.shape
         first = cells * torch.arange(count, device=cell.device)
         row = cell + first.view(-1, *[1] * (cell.ndim - 1))
@@ -162,16 +109,36 @@ class BeamSearch:
         Returns:
             Directions or STAY, int64 [M, N]; and whether the plan sees any cell, bool [M].
         """
+        first = torch.full_like(position[..., 0], STAY)
+        fruitful = torch.zeros_like(present[:, 0])
+        size = present.sum(-1)
+        members = torch.argsort(present.long(), dim=-1, descending=True, stable=True)
+        left = unknown.flatten(1).sum(-1)
+        order = left.argsort()  # alike problems together: the longest decides for all
+        targets = min(MOST_TARGETS, int(left.max()))
+        at_once = max(1, _AT_ONCE // (self.width * _MOVES * max(targets, 1)))
+        for robots in range(1, present.shape[-1] + 1):
+            for rows in order[size[order] == robots].split(at_once):
+                if len(rows):
+                    team = (rows.unsqueeze(-1), members[rows, :robots])
+                    first[team], fruitful[rows] = self._search(
+                        unknown[rows], occupied[rows], position[team], radius
+                    )
+        return first, fruitful
+
+    def _search(
+        self, unknown: Tensor, occupied: Tensor, position: Tensor, radius: int
+    ) -> tuple[Tensor, Tensor]:
+        """``first_moves`` of teams of which every robot takes part."""
         height, width = unknown.shape[-2:]
         tables = board(height, width, radius, unknown.device)
-        distance = tables.distance
-        if height * width <= MOST_CELLS_WITH_PATHS:
-            distance = all_distances(~occupied, longest=_FAR)
-        problem = Problem(tables, occupied.flatten(1), present, distance)
+        target, share = _targets(unknown.flatten(1))
+        distance = path_distances(~occupied, target, LONGEST).short().contiguous()
+        problem = Problem(tables, occupied.flatten(1), target, share, distance)
         plans = _start(unknown.flatten(1), flat_cell(position, width))
         weight = 1.0
         for step in range(self.horizon):
-            plans = plans._replace(before=plans.cell)
+            plans = plans._replace(before=plans.cell.clone())
             for robot in range(position.shape[-2]):
                 plans, move = self._turn(problem, plans, robot, weight)
                 if step == 0:
@@ -183,31 +150,36 @@ class BeamSearch:
         self, problem: Problem, plans: Plans, robot: int, weight: float
     ) -> tuple[Plans, Tensor]:
         """The best plans after one robot's move, and that move, int64 [M, K]."""
-        own = plans.cell[..., robot]
-        target = problem.board.near[own]
-        around = problem.board.around[own]
-        unknown = plans.unknown.gather(-1, around).bool()
-        new = _per_move(unknown)
+        target = problem.board.near[plans.cell[..., robot]]
+        new, new_code = _new(problem, plans, robot)
         # cells about to be seen are taken to be one move away
         remote = _remoteness(problem, plans, robot, target) - new
         seen = plans.seen.unsqueeze(-1) + weight * new
         value = seen - weight * self.distance_weight * remote
         value[..., STAY] -= _FAVOUR
         value.masked_fill_(~_open_moves(problem, plans, robot, target), -torch.inf)
-        code = plans.code.unsqueeze(-1) - _per_move(unknown * _codes(0, problem)[around])
+        code = plans.code.unsqueeze(-1) - new_code
 
-        value = _once(value, code + _places(problem, plans, robot, target))
-        best = value.flatten(1).topk(min(self.width, value[0].numel())).indices
-        parent, move = best // _MOVES, best % _MOVES
-        plans = plans.of(parent)
+        value = _once(value, code + _places(plans, robot, target))
+        best_value, best = value.topk(min(self.width, value.shape[1]))
+        plans = plans.of(best // _MOVES)
         cell = target.flatten(1).gather(1, best)
         plans.cell[..., robot] = cell
         plans.unknown.scatter_(-1, problem.board.seen[cell], 0)
-        alive = value.flatten(1).gather(1, best) > -torch.inf
         return plans._replace(
             code=code.flatten(1).gather(1, best),
-            seen=seen.flatten(1).gather(1, best).masked_fill(~alive, -torch.inf),
-        ), move
+            seen=seen.flatten(1).gather(1, best).masked_fill(best_value == -torch.inf, -torch.inf),
+        ), best % _MOVES
+
+
+def _targets(unknown: Tensor) -> tuple[Tensor, Tensor]:
+    """``Problem.target`` and ``Problem.share``, evenly chosen from unknown cells bool [M, C]."""
+    number = unknown.sum(-1, keepdim=True)
+    targets = int(number.max().clamp(1, MOST_TARGETS))
+    most = number.clamp_min(targets)
+    place = torch.arange(targets, device=unknown.device) * most // targets
+    cells = torch.argsort(unknown.byte(), dim=-1, descending=True, stable=True)
+    return cells.gather(1, place), (most / targets).squeeze(-1)
 
 
 def _start(unknown: Tensor, cell: Tensor) -> Plans:
@@ -217,18 +189,19 @@ def _start(unknown: Tensor, cell: Tensor) -> Plans:
         cell=cell,
         before=cell,
         first=torch.full_like(cell, STAY),
-        unknown=unknown.unsqueeze(1).to(torch.uint8) * _ALL,
+        unknown=unknown.unsqueeze(1).short() * _HIDDEN,
         code=torch.zeros_like(cell[..., 0]),
         seen=torch.zeros_like(cell[..., 0], dtype=torch.float32),
     )
 
 
-def _per_move(around: Tensor) -> Tensor:
-    """Sums over the cells in view after each move, [M, K, 9], of cells [M, K, (2k + 3)^2]."""
-    side = math.isqrt(around.shape[-1])
-    square = around.unflatten(-1, (side, side))
-    sums = square.unfold(-2, side - 2, 1).unfold(-2, side - 2, 1).sum((-1, -2))
-    return sums.flatten(-2)[..., _MOVE_PLACES]
+def _new(problem: Problem, plans: Plans, robot: int) -> tuple[Tensor, Tensor]:
+    """Cells that each move of a robot would see first, float32 [M, K, 9], and their hash, int64."""
+    around = problem.board.around[plans.cell[..., robot]]
+    unknown = plans.unknown.gather(-1, around).clamp_max_(1).double()
+    code = codes(0, plans.unknown.shape[-1], around.device)[around]
+    number, code = torch.stack((unknown, unknown * code)) @ problem.board.views
+    return number.float(), code.long()
 
 
 def _open_moves(problem: Problem, plans: Plans, robot: int, target: Tensor) -> Tensor:
@@ -237,61 +210,57 @@ def _open_moves(problem: Problem, plans: Plans, robot: int, target: Tensor) -> T
     occupied = problem.occupied.gather(1, target.flatten(1)).view(target.shape)
     occupied |= ~problem.board.inside[own]
     occupied |= closed_diagonals(occupied)
-    others = problem.present.clone()
-    others[:, robot] = False
-    others = others[:, None, None]
-    for cells in (plans.cell, plans.before):
-        occupied |= ((target.unsqueeze(-1) == cells.unsqueeze(-2)) & others).any(-1)
-    middle = (place[own].unsqueeze(-1) + place[target]).unsqueeze(-1)
-    ways = (place[plans.cell] + place[plans.before]).unsqueeze(-2)
-    occupied |= ((middle == ways) & others).any(-1)
-    occupied |= ~problem.present[:, robot, None, None]
+    middle = place[own].unsqueeze(-1) + place[target]
+    for other in range(plans.cell.shape[-1]):
+        if other != robot:
+            now, before = (c[..., other].unsqueeze(-1) for c in (plans.cell, plans.before))
+            occupied |= (
+                (target == now) | (target == before) | (middle == place[now] + place[before])
+            )
     occupied[..., STAY] = False
     return ~occupied
 
 
-def _remoteness(problem: Problem, plans: Plans, robot: int, target: Tensor) -> Tensor:
-    """Sum over unknown cells of the moves from the nearest robot, after each of one robot's moves.
+def _remoteness(problem: Problem, plans: Plans, robot: int, cell: Tensor) -> Tensor:
+    """Sum over unknown cells of the moves from the nearest robot, float32 [M, K, 9].
 
-    Returns int32 [M, K, 9].
+    Args:
+        problem: what it is about.
+        plans: where the robots are.
+        robot: whose move it is.
+        cell: where it can go, int64 [M, K, 9].
     """
-    nearest = problem.away(target)
-    absent = (~problem.present).to(torch.uint8) * _FAR
-    nearest |= absent[:, robot, None, None, None]
-    for other in range(problem.present.shape[-1]):
+    target = problem.target.unsqueeze(1).expand(-1, plans.unknown.shape[1], -1)
+    nearest = plans.unknown.gather(-1, target)
+    for other in range(plans.cell.shape[-1]):
         if other != robot:
-            away = problem.away(plans.cell[..., other]).unsqueeze(-2)
-            away |= absent[:, other, None, None, None]
-            nearest = torch.minimum(nearest, away, out=nearest)
-    nearest &= plans.unknown.unsqueeze(-2)
-    return nearest.sum(-1, dtype=torch.int32)
+            nearest = torch.minimum(nearest, problem.away(plans.cell[..., other]))
+    away = problem.away(cell)
+    torch.minimum(away, nearest.unsqueeze(-2), out=away)
+    return away.sum(-1, dtype=torch.int16) * problem.share[:, None, None]
 
 
-def _codes(kind: int, problem: Problem) -> Tensor:
-    """A random number for each cell, int64 [C]."""
-    return combine(kind, torch.arange(problem.occupied.shape[-1], device=problem.occupied.device))
-
-
-def _places(problem: Problem, plans: Plans, robot: int, target: Tensor) -> Tensor:
+def _places(plans: Plans, robot: int, target: Tensor) -> Tensor:
     """Hash of where the robots are after each move and were before the step, int64 [M, K, 9]."""
-    robots = plans.cell.shape[-1]
+    robots, cells = plans.cell.shape[-1], plans.unknown.shape[-1]
     code = torch.zeros_like(plans.code)
     for other in range(robots):
-        code = code + _codes(1 + other, problem)[plans.before[..., other]]
+        code = code + codes(1 + other, cells, code.device)[plans.before[..., other]]
         if other != robot:
-            code = code + _codes(1 + robots + other, problem)[plans.cell[..., other]]
-    return code.unsqueeze(-1) + _codes(1 + robots + robot, problem)[target]
+            code += codes(1 + robots + other, cells, code.device)[plans.cell[..., other]]
+    return code.unsqueeze(-1) + codes(1 + robots + robot, cells, code.device)[target]
 
 
 def _once(value: Tensor, code: Tensor) -> Tensor:
-    """Values [M, K, 9] with all but the best of equal hashes at -inf.
+    """Values [M, K, 9], flattened, with all but the best of equal hashes at -inf, [M, K 9].
 
     Hashes that differ may meet in a bucket: few, and a plan that is lost so is hardly missed.
     """
-    buckets = 16 * value[0].numel()
-    value, bucket = value.flatten(1), code.flatten(1) % buckets
+    value = value.flatten(1)
+    buckets = 1 << (16 * value.shape[1]).bit_length()
+    bucket = code.flatten(1) & (buckets - 1)
     order = torch.arange(value.shape[1], device=value.device) * (_FAVOUR / value.shape[1])
     value = value - order
     best = value.new_full((len(value), buckets), -torch.inf)
     best.scatter_reduce_(1, bucket, value, "amax")
-    return value.masked_fill(value < best.gather(1, bucket), -torch.inf).view(code.shape)
+    return value.masked_fill(value < best.gather(1, bucket), -torch.inf)

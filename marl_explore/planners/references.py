@@ -35,22 +35,23 @@ class Central(Planner):
         self.search = search or BeamSearch()
 
     def obstacles(self, tensordict: TensorDictBase, union: Tensor) -> Tensor:
-        """Cells no plan leads through, bool [B, H, W]."""
+        """Cells no plan leads through, bool [*B, H, W]."""
         return union == OCCUPIED
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
-        """Every robot's part of the joint plan, int64 [B, N]."""
+        """Every robot's part of the joint plan, int64 [*B, N]."""
         grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
         union = grid.amax(-3)  # unknown is the lowest code
         move = torch.full_like(position[..., 0], STAY)
-        rows = (union == UNKNOWN).flatten(-2).any(-1)
+        obstacles = self.obstacles(tensordict, union)
+        unknown = (union == UNKNOWN) & target_cells(obstacles, position)
+        rows = unknown.flatten(-2).any(-1)
         if rows.any():
             team = torch.ones_like(move, dtype=torch.bool)
-            obstacles = self.obstacles(tensordict, union)
             first, fruitful = self.search.first_moves(
-                union[rows] == UNKNOWN, obstacles[rows], position[rows], team[rows], self.radius
+                unknown[rows], obstacles[rows], position[rows], team[rows], self.radius
             )
-            shared = union[rows].unsqueeze(1).expand(-1, *grid.shape[1:])
+            shared = union[rows].unsqueeze(1).expand(-1, *grid.shape[-3:])
             nearest, length = nearest_frontier(shared, position[rows])
             nearest = torch.where(length > 0, nearest, STAY)
             move[rows] = torch.where(fruitful.unsqueeze(-1), first, nearest)
@@ -63,7 +64,7 @@ class Clairvoyant(Central):
     sees = "all obstacles, the union of all maps, all positions"
 
     def obstacles(self, tensordict: TensorDictBase, union: Tensor) -> Tensor:
-        """The true obstacles, bool [B, H, W]."""
+        """The true obstacles, bool [*B, H, W]."""
         return tensordict.get("obstacles")
 
 

@@ -16,6 +16,7 @@ from marl_explore.core.grid import (
     flat_cell,
     straight_distances,
 )
+from marl_explore.core.mapping import target_cells
 from marl_explore.core.radio import in_range
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
@@ -66,32 +67,44 @@ class Rendezvous(Planner):
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """Own part of the joint plan, int64 [*B, N]."""
-        now = tensordict.get("step_count")
-        grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
-        since = tensordict.get(("agents", "steps_since_merge"))
+        batch = tensordict.get("step_count").shape[:-1]
+        now, grid, position, since = (
+            tensordict.get(key).reshape(-1, *tensordict.get(key).shape[len(batch) :])
+            for key in (
+                "step_count",
+                ("agents", "map"),
+                ("agents", "position"),
+                ("agents", "steps_since_merge"),
+            )
+        )
         reach = in_range(position, self.range_cells)
         seen = self._remember(now, grid, position, reach)
         near = reach.sum(-1) > 1
-        unknown = (grid == UNKNOWN) & ~seen.covered
+        complete = ~frontier_mask(grid).flatten(-2).any(-1)
+        unknown = _worth_seeing(grid, position, ~complete) & ~seen.covered
         left = unknown.flatten(-2).any(-1)
         self._idle = torch.where(left | (now == 0), 0, self._idle + 1)
         forget = self._idle >= self.patience_steps
         self._idle = self._idle.masked_fill(forget, 0)
         seen.covered = seen.covered & ~forget[..., None, None]
 
-        move = self._meet(grid, position, near, seen)
-        explores = left & frontier_mask(grid).flatten(-2).any(-1)
-        nearest, length = nearest_frontier(grid, position)
-        move = torch.where(explores, torch.where(length > 0, nearest, STAY), move)
+        move = torch.full_like(position[..., 0], STAY)
+        meets = ~left & ~complete & (seen.step.amax(-1) >= 0)
+        if meets.any():
+            move[meets] = _towards(grid[meets], position[meets], seen.last_place()[meets])
+        move = move.masked_fill(~left & near, COMMUNICATE)
+        if left.any():
+            nearest, length = nearest_frontier(grid[left], position[left])
+            move[left] = torch.where(length > 0, nearest, STAY)
         sight = self.search.horizon + self.radius
         within = straight_distances(position, *grid.shape[-2:]) <= sight
-        rows = explores & (unknown & within).flatten(-2).any(-1)
+        rows = left & (unknown & within).flatten(-2).any(-1)
         if rows.any():
             first, fruitful = self._joint_plan(rows, now, grid, unknown, position, seen)
             move[rows] = torch.where(fruitful, first, move[rows])
         if self.answer:
             move = move.masked_fill((seen.waited & (since >= 2)).any(-1), COMMUNICATE)
-        return move
+        return move.view(*batch, -1)
 
     def _remember(self, now: Tensor, grid: Tensor, position: Tensor, reach: Tensor) -> Sightings:
         seen = self._sightings
@@ -127,22 +140,26 @@ class Rendezvous(Planner):
         )
         return first[mine, me], fruitful
 
-    def _meet(self, grid: Tensor, position: Tensor, near: Tensor, seen: Sightings) -> Tensor:
-        """Communicate in range, else walk towards whom was seen last, int64 [B, N]."""
-        direction, length = paths(grid, position)
-        latest = seen.step.argmax(-1)
-        index = latest[..., None, None].expand(*latest.shape, 1, 2)
-        place = seen.cell.gather(2, index).squeeze(2)
-        apart = straight_distances(place, *grid.shape[-2:])
-        # of the cells that a path leads to, the nearest to that place; then the nearest to oneself
-        order = (apart * length[0].numel() + length).masked_fill(length == 0, torch.inf).flatten(-2)
-        cell = order.argmin(-1, keepdim=True)
-        own = flat_cell(position, grid.shape[-1]).unsqueeze(-1)
-        nearer = apart.flatten(-2).gather(-1, cell) < apart.flatten(-2).gather(-1, own)
-        complete = ~frontier_mask(grid).flatten(-2).any(-1)
-        walks = nearer.squeeze(-1) & (seen.step.amax(-1) >= 0) & ~complete
-        move = torch.where(walks, direction.flatten(-2).gather(-1, cell).squeeze(-1), STAY)
-        return move.masked_fill(near, COMMUNICATE)
+
+def _worth_seeing(grid: Tensor, position: Tensor, rows: Tensor) -> Tensor:
+    """Unknown cells of maps [B, N, H, W] that a robot can come to see, in the rows bool [B, N]."""
+    unknown = torch.zeros_like(grid, dtype=torch.bool)
+    if rows.any():
+        target = target_cells(grid[rows] == OCCUPIED, position[rows].unsqueeze(-2))
+        unknown[rows] = (grid[rows] == UNKNOWN) & target
+    return unknown
+
+
+def _towards(grid: Tensor, position: Tensor, place: Tensor) -> Tensor:
+    """First moves on maps [M, H, W] to cells as near as can be to places [M, 2], int64 [M]."""
+    direction, length = paths(grid, position)
+    apart = straight_distances(place, *grid.shape[-2:])
+    # of the cells that a path leads to, the nearest to that place; then the nearest to oneself
+    order = (apart * length[0].numel() + length).masked_fill(length == 0, torch.inf).flatten(-2)
+    cell = order.argmin(-1, keepdim=True)
+    own = flat_cell(position, grid.shape[-1]).unsqueeze(-1)
+    nearer = apart.flatten(-2).gather(-1, cell) < apart.flatten(-2).gather(-1, own)
+    return torch.where(nearer, direction.flatten(-2).gather(-1, cell), STAY).squeeze(-1)
 
 
 class _Window:

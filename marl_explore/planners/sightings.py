@@ -58,3 +58,9 @@ class Sightings:
         views = (straight_distances(position, *self.covered.shape[-2:]) <= radius).float()
         seen = torch.einsum("bij,bjc->bic", others.float(), views.flatten(-2)) > 0
         self.covered = self.covered | seen.view_as(self.covered)
+
+    def last_place(self) -> Tensor:
+        """Where i saw another robot last, int64 [B, N, 2]."""
+        latest = self.step.argmax(-1)
+        index = latest[..., None, None].expand(*latest.shape, 1, 2)
+        return self.cell.gather(2, index).squeeze(2)

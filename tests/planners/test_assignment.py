@@ -7,7 +7,7 @@ import torch
 
 from marl_explore.core.grid import STAY
 from marl_explore.planners import FrontierAssignment, UtilityCost, hungarian, never
-from marl_explore.planners.assignment import Auction
+from marl_explore.planners.assignment import DETOUR, Auction
 from tests.planners.situations import knowing, names, on_board
 
 STRATEGIES = {
@@ -74,6 +74,22 @@ def test_frontiers_beside_a_chosen_one_lose_utility():
     frontier = [1, 1, 0, 0, 0, 0, 1]
     assert UtilityCost(cost=0.1)(auction(distances, frontier, me=1)).tolist() == [6]
     assert UtilityCost(cost=0.1, reach=0)(auction(distances, frontier, me=1)).tolist() == [1]
+
+
+def test_distances_are_those_of_known_paths_and_otherwise_straight_with_a_detour():
+    """Robot 1 stands on the one frontier; the way between the robots is unknown."""
+    env, td = on_board("0.....1", 1, 7)
+    auctions = []
+
+    def watched(auction):
+        auctions.append(auction)
+        return hungarian(auction)
+
+    planner = FrontierAssignment(never, env.config.communication_cells, watched)
+    planner.plan(knowing(td, "..??...", "..??..."))
+    apart = auctions[0].distance.long()
+    assert apart[0, 0, :2].tolist() == [0, 1]
+    assert apart[0, 1].tolist() == [6 + DETOUR, 5 + DETOUR, 4 + DETOUR, 3 + DETOUR, 2, 1, 0]
 
 
 @pytest.mark.parametrize("assign", STRATEGIES.values(), ids=STRATEGIES)

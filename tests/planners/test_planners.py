@@ -104,6 +104,19 @@ def test_a_reference_is_watched_by_the_union_of_its_maps():
     assert (steps[-2]["agents", "map"] != maps).any()
 
 
+@pytest.mark.parametrize("name", sorted(PLANNERS))
+def test_batches_of_any_shape_are_planned_alike(name):
+    config = ArenaConfig(num_agents=3, height=8, width=9)
+    history = ExplorationEnv(config, num_envs=4, stream="test").rollout(6)
+    flat, square, single = (PLANNERS[name](config) for _ in range(3))
+    for step in history.unbind(1):
+        torch.manual_seed(1)
+        action = flat(step.clone())["agents", "action"]
+        torch.manual_seed(1)
+        assert square(step.reshape(2, 2))["agents", "action"].equal(action.view(2, 2, 3))
+        assert single(step[0])["agents", "action"].shape == (3,)
+
+
 BLIND = [
     name for name in PLANNERS if not getattr(PLANNERS[name](ArenaConfig()), "reference", False)
 ]

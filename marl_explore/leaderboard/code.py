@@ -1,0 +1,51 @@
+"""A fingerprint of the source that the numbers of a cell depend on."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).parent.parent
+RULES = ("config.py", "core", "env.py", "specs.py", "evaluation.py", "metrics.py")
+PLANNING = ("planners",)
+ACTING = ("transforms", "native", "models.py", "policies.py", "team.py")
+"""What planners, and what trained policies, have beside the rules and the measures."""
+
+
+@lru_cache
+def code_digest(planner: bool) -> str:
+    """SHA-256 of the code behind a planner's or a trained policy's numbers, whatever it says.
+
+    Comments, docstrings and layout are no part of it; of arenas a suite has its own fingerprint.
+    """
+    parts = (*RULES, *(PLANNING if planner else ACTING))
+    return digest([PACKAGE / part for part in parts])
+
+
+def digest(paths: list[Path]) -> str:
+    """SHA-256 of what modules, and all modules of folders, do."""
+    total = hashlib.sha256()
+    for path in paths:
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            total.update(f"{file.name}\n{_statements(file.read_text(encoding='utf-8'))}\n".encode())
+    return total.hexdigest()
+
+
+def _statements(source: str) -> str:
+    """Source without comments, docstrings and other bare strings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [line for line in body if not _is_text(line)] or [ast.Pass()]  # type: ignore[attr-defined]
+    return ast.unparse(tree)
+
+
+def _is_text(line: ast.AST) -> bool:
+    return (
+        isinstance(line, ast.Expr)
+        and isinstance(line.value, ast.Constant)
+        and isinstance(line.value.value, str)
+    )
