@@ -22,6 +22,7 @@ from marl_explore.files import UNFINISHED, whole_file
 FORMAT = "marl_explore.checkpoint/1"
 FOLDER = "checkpoints"
 _PATTERN = "update-*.safetensors"
+_ABANDONED = ".abandoned"
 
 
 class CheckpointError(ValueError):
@@ -30,6 +31,8 @@ class CheckpointError(ValueError):
 
 def write_checkpoint(folder: Path, update: int, state: Mapping[str, Any], keep: int) -> Path:
     """Write the state after an update, then remove all but the newest checkpoints.
+
+    Files that a killed writer left, and checkpoints that were set aside, are removed too.
 
     Args:
         folder: of the run; the file goes into ``checkpoints/``.
@@ -45,11 +48,17 @@ def write_checkpoint(folder: Path, update: int, state: Mapping[str, Any], keep: 
     metadata = {"format": FORMAT, "structure": structure, "sha256": _digest(structure, tensors)}
     with whole_file(path) as unfinished:
         save_file(tensors, unfinished, metadata)
-    for left in path.parent.glob(f"{_PATTERN}{UNFINISHED}"):
-        left.unlink()  # of a writer that was killed
+    for ending in (UNFINISHED, _ABANDONED):
+        for left in path.parent.glob(f"{_PATTERN}{ending}"):
+            left.unlink()
     for old in list_checkpoints(folder)[:-keep]:
         old.unlink()
     return path
+
+
+def set_aside(path: Path) -> None:
+    """Let a checkpoint count no longer; the next one that is written removes it."""
+    path.rename(path.with_name(path.name + _ABANDONED))
 
 
 def list_checkpoints(folder: Path) -> list[Path]:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
 from importlib.util import find_spec
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 import torch
@@ -15,7 +17,7 @@ from safetensors.torch import load, save
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.collectors import BaseCollector, Collector, MultiAsyncCollector, MultiSyncCollector
+from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
 from torchrl.weight_update import SharedMemWeightSyncScheme
 
@@ -23,6 +25,7 @@ from marl_explore.core.hashing import stream_seed
 from marl_explore.execution import RunConfig
 from marl_explore.interrupts import detach
 from marl_explore.team import TeamActor
+from marl_explore.workers import AsyncWorkers, SyncWorkers, WorkerError, report
 
 
 class CreateEnv(Protocol):
@@ -37,15 +40,27 @@ class ResumableCollector(Collector):
 
     ``state_dict`` has the arenas under way, the returns so far, and the random generator that
     actions are drawn from; ``load_state_dict`` puts all of them back.
+
+    Args:
+        args, options: of ``Collector``.
+        reports: where a worker says by which error it ends.
     """
 
     _returns: Tensor | None = None
 
+    def __init__(self, *args: Any, reports: Connection | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._reports = reports
+
     def rollout(self) -> TensorDictBase:
         """The next batch [B, T], the actors of a team run as one network."""
         team = isinstance(self.policy, TeamActor)
-        with self.policy.stacked.together() if team else nullcontext():
-            batch = super().rollout()
+        try:
+            with self.policy.stacked.together() if team else nullcontext():
+                batch = super().rollout()
+        except Exception as error:
+            report(error, self._reports)
+            raise
         last = batch["next"][:, -1]
         self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
         return batch
@@ -106,6 +121,7 @@ def make_collector(
 
     Raises:
         ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
+        WorkerError, WorkerDeathError: when a worker does not come to its start.
     """
     run = run or RunConfig()
     require_collector(run, num_envs)
@@ -123,15 +139,36 @@ def make_collector(
         for first in range(first_arena, first_arena + num_envs, part)
     ]
     options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
-    options["collector_class"] = ResumableCollector
     if run.collector == "ray":
         return _ray_collector(workers, policy, run, options)
+    return _worker_processes(workers, policy, run, options)
+
+
+def _worker_processes(
+    workers: Sequence[Callable[[], EnvBase]],
+    policy: TensorDictModuleBase,
+    run: RunConfig,
+    options: dict[str, Any],
+) -> BaseCollector:
+    """Processes on this machine."""
+    reader, writer = Pipe(duplex=False)
+    options["collector_class"] = partial(ResumableCollector, reports=writer)
+    collector: AsyncWorkers | SyncWorkers
     if run.collector == "multiasync":
         # without waiting for workers to have the weights: one that died never would
-        schemes = {"policy": SharedMemWeightSyncScheme(sync=False)}
-        return MultiAsyncCollector(workers, policy, weight_sync_schemes=schemes, **options)
-    options |= {"policy_factory": partial(_itself, policy), "weight_sync_schemes": {}}
-    return MultiSyncCollector(workers, cat_results=0, use_buffers=True, **options)
+        scheme = SharedMemWeightSyncScheme(sync=False)
+        try:
+            collector = AsyncWorkers(
+                workers, policy, weight_sync_schemes={"policy": scheme}, **options
+            )
+        except Exception:
+            scheme.shutdown()  # if left to the end of the program, it waits there for ever
+            raise
+    else:
+        options |= {"policy_factory": partial(_itself, policy), "weight_sync_schemes": {}}
+        collector = SyncWorkers(workers, cat_results=0, use_buffers=True, **options)
+    collector.reports = reader
+    return collector
 
 
 def _ray_collector(
@@ -151,9 +188,7 @@ def _ray_collector(
         ray.init(log_to_driver=False, **cluster)
     cpus = ray.cluster_resources().get("CPU", 0)
     if cpus < run.workers:
-        raise ChildProcessError(
-            f"Ray has {cpus:g} CPUs, which is too few for workers={run.workers}"
-        )
+        raise WorkerError(f"Ray has {cpus:g} CPUs, which is too few for workers={run.workers}")
     own = ("trust_policy", "auto_register_policy_transforms")
     # it misses weights that rollouts.Rollouts hands out
     warnings.filterwarnings("ignore", "RayCollector iteration started before weight sync")
@@ -165,6 +200,7 @@ def _ray_collector(
         weight_sync_schemes={},
         collector_kwargs={name: options.pop(name) for name in own},
         remote_configs={"num_cpus": 1, "num_gpus": 0},
+        collector_class=ResumableCollector,
         **options | {"total_frames": sys.maxsize},
     )
 

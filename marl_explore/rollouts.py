@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -15,14 +14,11 @@ from torch import Tensor
 from torchrl.collectors import BaseCollector
 
 from marl_explore.execution import RunConfig
+from marl_explore.workers import WorkerDeathError, WorkerError, told_apart
 
 logger = logging.getLogger(__name__)
 
 ArenaStates = dict[str, Tensor]
-
-
-class WorkerError(ChildProcessError):
-    """Workers died again and again; the arenas of the last whole batch are not lost."""
 
 
 class Rollouts:
@@ -58,18 +54,19 @@ class Rollouts:
         """The next batch.
 
         Raises:
-            WorkerError: when workers died once more after ``MAX_RESTARTS`` restarts.
+            WorkerError: when workers died once more after ``MAX_RESTARTS`` restarts, or one
+                failed by an error of its own.
         """
         if self._kind == "process":
             return self._collect()
         for restarts in range(self.MAX_RESTARTS + 1):
             try:
-                return self._collect()
-            except _signs_of_death() as error:
+                with told_apart(lambda: self._collector):
+                    return self._collect()
+            except WorkerDeathError as error:
                 self.close()
                 cause = error
-                first = str(error).partition("\n")[0]
-                logger.warning("%s; starting all workers again (%d)", first, restarts + 1)
+                logger.warning("%s; starting all workers again (%d)", error, restarts + 1)
         times = self.MAX_RESTARTS + 1
         raise WorkerError(f"workers died {times} times in a row, at last: {cause}") from cause
 
@@ -121,9 +118,3 @@ class Rollouts:
             with suppress(Exception):  # of workers that are dead already
                 self._collector.shutdown()
             self._collector = None
-
-
-def _signs_of_death() -> tuple[type[BaseException], ...]:
-    """What TorchRL raises when it misses a worker: of Ray, or of a pipe."""
-    ray = (sys.modules["ray"].exceptions.RayError,) if "ray" in sys.modules else ()
-    return (RuntimeError, EOFError, OSError, *ray)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import platform
 import shlex
 import sys
@@ -15,7 +16,12 @@ from typing import Any
 import torch
 
 from marl_explore.arenas import full_name
-from marl_explore.checkpoint import CheckpointError, list_checkpoints, read_checkpoint
+from marl_explore.checkpoint import (
+    CheckpointError,
+    list_checkpoints,
+    read_checkpoint,
+    set_aside,
+)
 from marl_explore.config import ArenaConfig, TrainConfig
 from marl_explore.execution import RunConfig
 from marl_explore.files import whole_file
@@ -26,6 +32,8 @@ from marl_explore.training_run import carry_out, versions
 from marl_explore.validation import Validation
 
 CONFIG_FILE, RECORD_FILE = "config.json", "run.json"
+
+logger = logging.getLogger(__name__)
 
 
 def new_folder(path: str | Path) -> Path:
@@ -124,11 +132,13 @@ def prepare(config: TrainConfig, folder: str | Path, run: RunConfig) -> Path:
 def resume(folder: str | Path, from_previous: bool = False, progress: bool = True) -> Policy:
     """Go on with a run from its last checkpoint, or from the start when there is none.
 
-    In one process the result is that of a run that never stopped, to the last bit.
+    In one process the result is that of a run that never stopped, to the last bit; with other
+    versions of what it depends on it may not be, and a warning says so.
 
     Args:
         folder: of a run that is not finished.
-        from_previous: whether to go on from the checkpoint before the last one.
+        from_previous: whether to go on from the checkpoint before the last one, which then
+            counts no longer.
         progress: whether to show a progress bar.
 
     Raises:
@@ -145,8 +155,14 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
     if path is not None:
         state = _read(path)
         _require_same(state["config"], config, path)
-        trainer.load_state_dict(state["trainer"])
+        _compare_versions(state["versions"], path)
+        try:
+            trainer.load_state_dict(state["trainer"])
+        except ValueError as error:
+            raise CheckpointError(f"{path} cannot be gone on from: {error}") from error
         validation.best = state["best"]
+        if from_previous:
+            set_aside(list_checkpoints(folder)[-1])
     return _carry_out(trainer, validation, progress)
 
 
@@ -183,7 +199,11 @@ def _checkpoint_to_resume(folder: Path, from_previous: bool) -> Path | None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return read_checkpoint(path)
+        state = read_checkpoint(path)
+        missing = [key for key in ("config", "versions", "best", "trainer") if key not in state]
+        if missing:
+            raise CheckpointError(f"{path} has no entry {', '.join(missing)}")
+        return state
     except CheckpointError as error:
         others = list_checkpoints(path.parent.parent)
         earlier = [other for other in others if other < path]
@@ -199,6 +219,17 @@ def _require_same(saved: Mapping[str, Any], config: TrainConfig, path: Path) -> 
         raise CheckpointError(
             f"{path} is of another run: "
             + ", ".join(f"{k}={saved.get(k)!r} there, {now[k]!r} here" for k in different)
+        )
+
+
+def _compare_versions(saved: Mapping[str, str], path: Path) -> None:
+    now = versions()
+    different = [f"{p} {saved.get(p)} (now {now[p]})" for p in now if saved.get(p) != now[p]]
+    if different:
+        logger.warning(
+            "%s was written with %s: the run goes on, but maybe not to the same bits",
+            path,
+            ", ".join(different),
         )
 
 

@@ -22,6 +22,7 @@ from marl_explore import runs
 from marl_explore.config import TrainConfig
 from marl_explore.execution import RunConfig
 from marl_explore.interrupts import RunInterruptedError, deferred, detach
+from marl_explore.stats import curve_interval
 
 RECORD_FILE, SUMMARY_FILE = "sweep.json", "summary.json"
 LAST_SHARE = 0.1
@@ -98,7 +99,7 @@ def resume_sweep(folder: str | Path) -> Summary:
 
 
 def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
-    """Per metric the mean, smallest and largest value over seeds.
+    """Per metric the mean over seeds with its bootstrap interval (``stats.curve_interval``).
 
     The value of a run is the mean over the last tenth of its updates that have the metric.
     """
@@ -110,25 +111,19 @@ def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
             if rows:
                 last = rows[-max(1, round(LAST_SHARE * len(rows))) :]
                 values.setdefault(file.stem, []).append(float(np.mean(last)))
-    return {name: interval(of_seeds) for name, of_seeds in values.items()}
-
-
-def interval(values: Sequence[float]) -> dict[str, float]:
-    """What is told of one metric's values over seeds."""
-    return {
-        "mean": float(np.mean(values)),
-        "min": float(np.min(values)),
-        "max": float(np.max(values)),
-        "seeds": len(values),
-    }
+    summary: Summary = {}
+    for name, of_seeds in values.items():
+        mean, low, high = (float(band[0]) for band in curve_interval([[x] for x in of_seeds]))
+        summary[name] = {"mean": mean, "low": low, "high": high, "seeds": len(of_seeds)}
+    return summary
 
 
 def format_summary(summary: Mapping[str, Mapping[str, float]]) -> str:
     """A text table of the main metrics."""
-    lines = [f"{'over seeds':>24}  {'mean':>9}  {'min':>9}  {'max':>9}"]
+    lines = [f"{'over seeds':>24}  {'mean':>9}  {'low':>9}  {'high':>9}"]
     for name in MAIN_METRICS:
         if name in summary:
-            row = "  ".join(f"{summary[name][key]:9.3f}" for key in ("mean", "min", "max"))
+            row = "  ".join(f"{summary[name][key]:9.3f}" for key in ("mean", "low", "high"))
             lines.append(f"{name:>24}  {row}")
     return "\n".join(lines)
 

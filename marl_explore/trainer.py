@@ -181,7 +181,9 @@ class Trainer:
             self.generator.set_state(state["generator"])
             self.updates, self.seconds = state["updates"], state["seconds"]
             self.rollouts.load(state["rollouts"], done=self.updates)
-        except (KeyError, RuntimeError) as error:
+        except KeyError as error:
+            raise ValueError(f"the state does not fit this run: it has no {error}") from error
+        except RuntimeError as error:
             first = str(error).split("\n\t")[:2][-1]  # torch lists all that differ
             raise ValueError(f"the state does not fit this run: {first}") from error
 

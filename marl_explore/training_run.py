@@ -17,9 +17,9 @@ from marl_explore.checkpoint import list_checkpoints, write_checkpoint
 from marl_explore.finite import NonFiniteError
 from marl_explore.interrupts import Request, RunInterruptedError, deferred
 from marl_explore.loggers import Loggers
-from marl_explore.rollouts import WorkerError
 from marl_explore.trainer import Trainer
 from marl_explore.validation import Validation
+from marl_explore.workers import WorkerError
 
 PACKAGES = ("marl-explore", "torch", "torchrl", "tensordict")
 

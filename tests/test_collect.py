@@ -21,9 +21,10 @@ from marl_explore.checkpoint import list_checkpoints, read_checkpoint, write_che
 from marl_explore.collect import make_collector
 from marl_explore.execution import RunConfig
 from marl_explore.models import OBSERVATION_KEYS, make_actor
-from marl_explore.rollouts import Rollouts, WorkerError
+from marl_explore.rollouts import Rollouts
 from marl_explore.team import TeamActor
 from marl_explore.trainer import Trainer, make_training_env
+from marl_explore.workers import WorkerDeathError, WorkerError
 from tests.killing import CONFIG
 
 TWO = RunConfig(collector="multisync", workers=2, checkpoint_every=0, validate_every=0)
@@ -130,6 +131,95 @@ def test_a_worker_that_is_killed_is_replaced_and_nothing_changes(with_workers, c
     assert all(torch.equal(a, b) for a, b in zip(weights(run), parameters, strict=True))
 
 
+def killing_env(*, num_envs, first_arena, marker):
+    """An environment; the first time that worker 1 makes it, the worker is killed instead."""
+    if first_arena == 2 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return make_training_env(CONFIG, num_envs=num_envs, first_arena=first_arena)
+
+
+START = """
+import sys
+from functools import partial
+from multiprocessing import set_start_method
+from pathlib import Path
+from marl_explore.collect import make_collector
+from marl_explore.execution import RunConfig
+from marl_explore.rollouts import Rollouts
+from marl_explore.trainer import Trainer
+from tests.killing import CONFIG
+from tests.test_collect import killing_env
+if __name__ == "__main__":
+    set_start_method(sys.argv[1], force=True)
+    run = RunConfig(collector=sys.argv[2], workers=2)
+    env, team = partial(killing_env, marker=Path(sys.argv[3])), Trainer(CONFIG).policy.team
+    start = partial(make_collector, env, team, num_envs=4, steps=5, run=run)
+    rollouts = Rollouts(start, team, run, num_envs=4)
+    print(rollouts.next().numel())
+    rollouts.close()
+"""
+
+
+@pytest.mark.parametrize(
+    ("method", "kind"), [("fork", "multisync"), ("spawn", "multisync"), ("spawn", "multiasync")]
+)
+def test_a_worker_that_is_killed_while_it_starts_is_replaced(tmp_path, method, kind):
+    script, marker = tmp_path / "script.py", tmp_path / "killed"
+    script.write_text(START)
+    done = subprocess.run(
+        [sys.executable, str(script), method, kind, str(marker)],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+    )
+    assert (done.returncode, done.stdout) == (0, "20\n"), done.stderr
+    assert marker.exists()
+    assert "worker 1 died of SIGKILL; starting all workers again (1)" in done.stderr
+
+
+class Faulty(TeamActor):
+    """A team whose second batch meets a mistake."""
+
+    calls = 0
+
+    def forward(self, tensordict):
+        self.calls += 1
+        if self.calls == 7:
+            raise RuntimeError("this is a mistake")
+        return super().forward(tensordict)
+
+
+@pytest.mark.parametrize("kind", ["multisync", "multiasync"])
+def test_an_error_of_a_worker_is_raised_at_once(kind, caplog):
+    run = replace(TWO, collector=kind)
+    create_env, starts = partial(make_training_env, CONFIG), []
+    team = Faulty([make_actor(CONFIG.arena, "mlp", (16,)) for _ in range(2)])
+
+    def start(first_arena):
+        starts.append(first_arena)
+        return make_collector(create_env, team, num_envs=4, steps=5, run=run)
+
+    rollouts = Rollouts(start, team, run, num_envs=4)
+    batches = iter(rollouts.next, None)
+    with pytest.raises(WorkerError, match="worker [01] ended by RuntimeError: this is a mistake"):
+        list(batches)
+    rollouts.close()
+    assert starts == [0]
+
+
+def broken_env(*, num_envs, first_arena):
+    raise OSError("no such arenas")
+
+
+def test_an_error_while_workers_start_is_raised_at_once():
+    team = Trainer(CONFIG).policy.team
+    start = partial(make_collector, broken_env, team, num_envs=4, steps=5, run=TWO)
+    with pytest.raises(WorkerError, match="collecting failed: OSError: no such arenas"):
+        Rollouts(start, team, TWO, num_envs=4).next()
+
+
 def test_with_workers_a_run_goes_on_exactly_from_a_checkpoint(with_workers, tmp_path):
     stopped = Trainer(CONFIG, TWO)
     curve = run_to(stopped, 5)
@@ -169,7 +259,7 @@ class Doomed:
         for batch in self._collector:
             self._lives -= 1
             if self._lives < 0:
-                raise RuntimeError("At least one process failed: worker 0")
+                raise WorkerDeathError("worker 0 died of SIGKILL")
             yield batch
 
     def __getattr__(self, name):
@@ -213,6 +303,7 @@ SCRIPT = """
 import sys
 from dataclasses import replace
 from marl_explore import cli, runs
+from marl_explore.workers import WorkerDeathError, WorkerError
 from tests.killing import CONFIG
 from tests.test_collect import TWO
 if __name__ == "__main__":

@@ -1,8 +1,12 @@
-"""The examples of the README and of docs/ run as they stand."""
+"""The examples of the README and of docs/ run as they stand; commands and scripts are readable."""
 
 from __future__ import annotations
 
+import importlib
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,3 +28,34 @@ def test_there_are_examples():
 def test_example(page, block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # examples may write files
     exec(compile(block, page, "exec"), {})
+
+
+SCALING = re.findall(r"```\n(.*?)```", (ROOT / "docs/scaling.md").read_text(), re.DOTALL)
+SCRIPTS = [block for block in SCALING if block.startswith("#!/bin/bash\n")]
+COMMANDS = re.findall(r"^ *(?:exec )?(python recipes/train.*)$", "".join(SCALING), re.MULTILINE)
+
+
+def test_there_are_scripts_and_commands():
+    assert len(SCRIPTS) == 2
+    assert all("exec python recipes/train" in script for script in SCRIPTS)
+    assert len(COMMANDS) >= 9
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=range(len(SCRIPTS)))
+def test_bash_reads_the_script(script):
+    read = subprocess.run(["bash", "-n"], input=script, text=True, capture_output=True)
+    assert (read.returncode, read.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_recipe_reads_the_command(command, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "recipes")
+    _, recipe, *arguments = shlex.split(command, comments=True)
+    monkeypatch.setattr(sys, "argv", [recipe, *arguments])
+    read = importlib.import_module(Path(recipe).stem).parse()
+    if arguments[0] == "resume":
+        assert read.folder == Path(arguments[-1])
+    elif len(arguments) > 1:  # the last flag arrived
+        flag, value = arguments[-2:]
+        name = flag.removeprefix("--").replace("-", "_")
+        assert str(getattr(read if hasattr(read, name) else read.run, name)) == value

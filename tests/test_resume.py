@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import random
 import signal
@@ -13,8 +14,13 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from marl_explore import runs
-from marl_explore.checkpoint import CheckpointError, list_checkpoints, read_checkpoint
+from marl_explore import runs, training_run
+from marl_explore.checkpoint import (
+    CheckpointError,
+    list_checkpoints,
+    read_checkpoint,
+    write_checkpoint,
+)
 from marl_explore.interrupts import RunInterruptedError, deferred
 from marl_explore.policies import load_policy
 from marl_explore.trainer import Trainer
@@ -191,6 +197,66 @@ def test_there_must_be_a_previous_checkpoint(tmp_path):
         runs.resume(folder, from_previous=True)
 
 
+def test_an_abandoned_checkpoint_counts_no_longer(tmp_path, undisturbed, monkeypatch):
+    folder = tmp_path / "run"
+    previous, last = stopped(folder)
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "carry_out", killed)
+    with pytest.raises(KeyboardInterrupt):
+        runs.resume(folder, from_previous=True, progress=False)
+    assert list_checkpoints(folder) == [previous]
+    with pytest.raises(ValueError, match="has no checkpoint before the last one: 1 in all"):
+        runs.resume(folder, from_previous=True, progress=False)
+    monkeypatch.undo()
+    runs.resume(folder, progress=False)
+    assert_same(content(folder), undisturbed)
+    assert all(file in list_checkpoints(folder) for file in (folder / "checkpoints").iterdir())
+    assert last in list_checkpoints(folder)  # written anew
+
+
+def test_other_versions_are_told(tmp_path, monkeypatch, caplog, undisturbed):
+    folder = tmp_path / "run"
+    last = stopped(folder)[-1]
+    now = training_run.versions()
+    monkeypatch.setattr(runs, "versions", lambda: now | {"torch": "9.9", "tensordict": "0.99"})
+    with caplog.at_level(logging.WARNING, "marl_explore"):
+        runs.resume(folder, progress=False)
+    (message,) = caplog.messages
+    assert message == (
+        f"{last} was written with torch {now['torch']} (now 9.9), tensordict {now['tensordict']} "
+        "(now 0.99): the run goes on, but maybe not to the same bits"
+    )
+    assert_same(content(folder), undisturbed)
+
+
+def test_the_same_versions_are_not_told(tmp_path, caplog):
+    folder = tmp_path / "run"
+    stopped(folder)
+    runs.resume(folder, progress=False)
+    assert caplog.messages == []
+
+
+@pytest.mark.parametrize(
+    ("inside", "key", "message"),
+    [
+        (False, "best", "has no entry best"),
+        (False, "trainer", "has no entry trainer"),
+        (True, "generator", "cannot be gone on from: the state .*: it has no 'generator'"),
+    ],
+)
+def test_a_checkpoint_that_lacks_something_is_named(tmp_path, inside, key, message):
+    folder = tmp_path / "run"
+    last = stopped(folder)[-1]
+    state = read_checkpoint(last)
+    del (state["trainer"] if inside else state)[key]
+    write_checkpoint(folder, 6, state, keep=3)
+    with pytest.raises(CheckpointError, match=f"{last.name} {message}"):
+        runs.resume(folder, progress=False)
+
+
 def test_a_finished_run_is_not_gone_on_with(tmp_path):
     folder = tmp_path / "run"
     finish(folder)
@@ -214,7 +280,7 @@ def test_a_state_of_other_networks_is_refused():
         Trainer(replace(CONFIG, hidden=(8, 8))).load_state_dict(state)
     wider = Trainer(replace(CONFIG, arena=replace(CONFIG.arena, num_agents=3)))
     state["loss"] = wider.loss.state_dict()
-    with pytest.raises(ValueError, match="the state does not fit this run: 'robot_2'"):
+    with pytest.raises(ValueError, match="the state does not fit this run: it has no 'robot_2'"):
         wider.load_state_dict(state)
 
 

@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# Installs the programs that the extra tests drive, where they are missing, from the system's
-# packages (apt): Chromium and its driver for tests/extras/browser, ffmpeg for tests/extras/video.
+# Installs the programs that the tests drive, where they are missing, from the system's packages
+# (apt): a C compiler for the native kernel, Chromium and its driver for tests/extras/browser,
+# ffmpeg for tests/extras/video.
 set -euo pipefail
 
 packages=()
+command -v cc >/dev/null || packages+=(gcc libc6-dev)
 command -v chromium >/dev/null || packages+=(chromium)
 command -v chromedriver >/dev/null || packages+=(chromium-driver)
 command -v ffmpeg >/dev/null || packages+=(ffmpeg)
@@ -16,7 +18,7 @@ if [ "$(id -u)" -ne 0 ]; then
   as_root=(sudo)
 fi
 if ! command -v apt-get >/dev/null || ! command -v "${as_root[0]:-env}" >/dev/null; then
-  echo "tests/extras need programs that are not on the PATH and cannot be installed here:" \
+  echo "the tests need programs that are not on the PATH and cannot be installed here:" \
     "${packages[*]} (names of Debian's packages)" >&2
   exit 1
 fi

@@ -33,5 +33,6 @@ def browser(tmp_path_factory):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options, webdriver.ChromeService(programs[1]))
+    driver.get("about:blank")  # or the new tab asks for its parts during the tests
     yield driver
     driver.quit()

@@ -12,8 +12,8 @@ import torch
 from marl_explore import runs
 from marl_explore.checkpoint import list_checkpoints, read_checkpoint, write_checkpoint
 from marl_explore.execution import RunConfig
-from marl_explore.rollouts import WorkerError
 from marl_explore.trainer import Trainer
+from marl_explore.workers import WorkerError
 from tests.killing import CONFIG
 from tests.test_collect import collect_checked, rollouts, run_to, weights
 

@@ -1,0 +1,148 @@
+"""Workers that end: a death is told from an error of the worker's own, also while workers start."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from torchrl.collectors import MultiAsyncCollector, MultiSyncCollector
+
+SECONDS_TO_END = 10
+"""A process whose pipe has ended is waited for, to learn of what it ended."""
+_REPORT_BYTES = 2000  # one write of a pipe, which those of other workers do not cut in two
+
+
+class WorkerError(ChildProcessError):
+    """A worker failed, or workers died again and again; the last whole batch is not lost."""
+
+
+class WorkerDeathError(ChildProcessError):
+    """A worker was ended from outside, so that another in its place may do better."""
+
+
+class Watched:
+    """Makes TorchRL's worker processes end their start when one of them dies.
+
+    TorchRL waits for the first message of one worker after the other, and does not see that one
+    is dead while others hold its pipe or wait for a lock that it held.
+    """
+
+    procs: list[BaseProcess]
+    reports: Connection | None = None
+    """Where workers say by which error they end."""
+
+    def _run_processes(self) -> None:
+        self.procs = []
+        ready = threading.Event()
+        watch = threading.Thread(target=self._end_all_with_one, args=(ready,), daemon=True)
+        watch.start()
+        try:
+            with told_apart(lambda: self):
+                super()._run_processes()  # type: ignore[misc]
+        finally:
+            ready.set()
+            watch.join()
+
+    def _end_all_with_one(self, ready: threading.Event) -> None:
+        while not ready.wait(0.1):
+            processes = [*self.procs]
+            if any(process.exitcode not in (None, 0) for process in processes):
+                for process in processes:
+                    process.terminate()
+
+
+class SyncWorkers(Watched, MultiSyncCollector):
+    """Worker processes in step."""
+
+
+class AsyncWorkers(Watched, MultiAsyncCollector):
+    """Worker processes that are always under way."""
+
+
+def report(error: Exception, reports: Connection | None) -> None:
+    """Say, in a worker, by which error it ends."""
+    if reports is not None:
+        with suppress(OSError):  # nobody listens any more
+            reports.send_bytes(_line(error).encode()[:_REPORT_BYTES])
+
+
+@contextmanager
+def told_apart(find_collector: Callable[[], Any]) -> Iterator[None]:
+    """Raise what goes wrong with the workers of a collector as one of two errors.
+
+    Args:
+        find_collector: the collector when it is asked for; None where it was not made.
+
+    Raises:
+        WorkerDeathError: for a worker that was ended from outside.
+        WorkerError: for an error that a worker, or this process, raised; it names which.
+    """
+    try:
+        yield
+    except (WorkerDeathError, WorkerError):
+        raise
+    except Exception as error:
+        collector = find_collector()
+        # TorchRL tells of both with RuntimeError: the processes know better
+        cut_off = isinstance(error, _CUT_OFF) or isinstance(error.__cause__, _CUT_OFF)
+        ends = _ends(getattr(collector, "procs", ()), SECONDS_TO_END if cut_off else 0)
+        failed = [worker for worker, code in ends.items() if code > 0]
+        if failed:
+            said = _read(collector.reports) or "an error; its traceback is above"
+            raise WorkerError(f"worker {failed[0]} ended by {said}") from error
+        if any(ends.values()):
+            killed = {worker: code for worker, code in ends.items() if code < 0}
+            # others were asked to end because of it
+            first = min(killed, key=lambda worker: killed[worker] == -signal.SIGTERM)
+            how = signal.Signals(-killed[first]).name
+            raise WorkerDeathError(f"worker {first} died of {how}") from error
+        if cut_off or _died_in_ray(error):
+            raise WorkerDeathError(f"a worker died: {_line(error)}") from error
+        raise WorkerError(f"collecting failed: {_line(error)}") from error
+
+
+_CUT_OFF = (EOFError, ConnectionError)
+
+
+def _ends(processes: Sequence[BaseProcess], patience: float) -> dict[int, int]:
+    """Exit codes of the workers that ended; TorchRL closes the others."""
+    ends = {}
+    with suppress(ValueError):  # of processes that are closed
+        ended = wait([process.sentinel for process in processes], patience)
+        for process in processes:
+            if process.sentinel in ended:
+                process.join(patience)
+    for worker, process in enumerate(processes):
+        with suppress(ValueError):
+            if process.exitcode is not None:
+                ends[worker] = process.exitcode
+    return ends
+
+
+def _read(reports: Connection | None) -> str | None:
+    with suppress(EOFError):
+        if reports is not None and reports.poll():
+            return reports.recv_bytes().decode(errors="replace")
+    return None
+
+
+def _died_in_ray(error: Exception) -> bool:
+    if "ray" not in sys.modules or not isinstance(error, sys.modules["ray"].exceptions.RayError):
+        return False
+    exceptions = sys.modules["ray"].exceptions
+    return not (
+        isinstance(error, exceptions.RayTaskError) or getattr(error, "actor_init_failed", False)
+    )
+
+
+def _line(error: Exception) -> str:
+    """Type and message of an error in one line; of one that Ray passes on, those of its cause."""
+    cause = getattr(error, "cause", None) or error
+    message = next(iter(str(cause).strip().splitlines()), "")
+    return f"{type(cause).__name__}: {message}"
