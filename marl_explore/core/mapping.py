@@ -87,7 +87,10 @@ def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False)
 
 
 def closed_diagonals(wall: Tensor) -> Tensor:
-    """Diagonals between two walls, bool [*B, N, 9], of the walls ``grid.beside`` [*B, N, 9]."""
+    """Diagonals between two walls [*B, N, 9], of the walls ``grid.beside`` [*B, N, 9].
+
+    Both bool, or int8 of 0 and 1.
+    """
     left, right = _sides(wall.device)
     return wall.index_select(-1, left) & wall.index_select(-1, right)
 

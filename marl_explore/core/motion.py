@@ -10,6 +10,7 @@ from torch import Tensor
 from marl_explore.core.grid import (
     NUM_DIRECTIONS,
     OPEN,
+    STAY,
     WALL,
     action_offsets,
     beside,
@@ -29,7 +30,7 @@ def open_moves(view: Tensor) -> Tensor:
         view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
     """
     cells = beside(view)
-    return (cells == OPEN) & ~closed_diagonals(cells == WALL)
+    return (cells | closed_diagonals(cells & WALL)) == OPEN
 
 
 def action_mask(open_moves: Tensor, reach: Tensor) -> Tensor:
@@ -76,8 +77,8 @@ def dangerous_moves(allowed: Tensor, position: Tensor, action: Tensor) -> Tensor
 
 def move(position: Tensor, action: Tensor, dangerous: Tensor) -> Tensor:
     """Positions after the step, int64 [*B, N, 2]; refused robots stay."""
-    target = position + _of_each(action, action_offsets(action.device))
-    return torch.where(dangerous.unsqueeze(-1), position, target)
+    done = action.masked_fill(dangerous, STAY)
+    return position + _of_each(done, action_offsets(action.device))
 
 
 _ROW = 1 << 16

@@ -143,7 +143,8 @@ def advance(
     known = state.known + discovered + exchanged.received
     missing = state.missing - sensed.discovered_of(state.target) - exchanged.received_targets
     others = other_robots(action.shape[-1], action.device)
-    unshared = torch.addcmul(state.unshared, discovered.unsqueeze(-1), others)
+    unshared = state.unshared + discovered.unsqueeze(-1)
+    unshared.diagonal(dim1=-2, dim2=-1).zero_()
     waited = (state.steps_since_merge + others).clamp_max_(NEVER)
     after = state._replace(
         map=sensed.map,
@@ -190,13 +191,18 @@ def _exchange(grid: Tensor, state: WorldState, reach: Tensor, action: Tensor) ->
     rows = _arenas_to_merge(communicating)
     if len(rows) == 0:
         return result
-    maps, obstacles, target = grid.view(-1, robots, *size), state.obstacles, state.target
-    network = networks(reach.view(-1, robots, robots)[rows], communicating[rows])
-    before = known_mask(maps[rows])
+
+    def at_rows(part: Tensor, *shape: int) -> Tensor:  # several times faster than part[rows]
+        return part.view(-1, *shape).index_select(0, rows)
+
+    network = networks(at_rows(reach, robots, robots), at_rows(communicating, robots))
+    before = known_mask(at_rows(grid, robots, *size))
     after = merge(before, network)
-    maps.index_copy_(0, rows, draw(after, obstacles.view(-1, *size)[rows]))
+    maps = draw(after, at_rows(state.obstacles, *size))
+    grid.view(-1, robots, *size).index_copy_(0, rows, maps)
     added = after - before
-    brought = (network, known_cells(added), known_targets(added, target.view(-1, *size)[rows]))
+    targets = known_targets(added, at_rows(state.target, *size))
+    brought = (network, known_cells(added), targets)
     for whole, part in zip(result, brought, strict=True):
         whole.view(-1, *part.shape[1:]).index_copy_(0, rows, part)
     return result
