@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from marl_explore.config import Architecture, ArenaConfig, CriticInput
 from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
+from marl_explore.core.mapping import known_mask
 
 OBSERVATION_KEYS: list[NestedKey] = [
     ("agents", "observation", key) for key in ("fov", "fpr", "net")
@@ -195,9 +196,9 @@ class StateCritic(nn.Module):
 
     def forward(self, obstacles: Tensor, position: Tensor, grid: Tensor) -> Tensor:
         """Value of bool [*B, H, W], int64 [*B, N, 2] and int8 [*B, N, H, W]."""
-        known = (grid >= 0).flatten(-3)
+        parts = (obstacles.float().flatten(-2), known_mask(grid).flatten(-3))
         place = (position / self.size).flatten(-2)
-        return self.layers(torch.cat((obstacles.flatten(-2), known, place), -1).float()).float()
+        return self.layers(torch.cat((*parts, place), -1)).float()
 
 
 def robots_first(*inputs: Tensor) -> list[Tensor]:
