@@ -72,9 +72,15 @@ class TeamActor(TensorDictModuleBase):
         super().__init__()
         self.stacked = StackedActors(actors)
 
+    @property
+    def _dtype(self) -> torch.dtype:
+        """Of the weights: ``double()`` makes a policy compute in float64."""
+        return next(self.stacked.parameters()).dtype
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
-        logits = self.stacked(*(tensordict.get(key) for key in OBSERVATION_KEYS))
+        inputs = (tensordict.get(key) for key in OBSERVATION_KEYS)
+        logits = self.stacked(*(entry.to(self._dtype) for entry in inputs))
         logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
         log_probs = logits.log_softmax(-1)
         likeliest = exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE)

@@ -117,6 +117,29 @@ def test_demo_makes_table_figure_and_animation(tmp_path):
     assert list(results) == ["learned", "random", "nearest", "nearest-timer", "utility-cost"]
 
 
+def test_runs_are_held_against_the_paper_and_bundled(tmp_path):
+    run = tmp_path / "run"
+    assert recipe("train.py", "fast", *TINY, "--out", run).returncode == 0
+    names = [f"{network}-{case}={run}" for network in ("mlp", "cnn") for case in ("case1", "case2")]
+    names[0] += f",{run}"
+    done = recipe("paper.py", *names, "--num-arenas", "3", "--out", "paper", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    claims = (tmp_path / "paper" / "claims.md").read_text()
+    assert claims in done.stdout
+    rows = claims.splitlines()[2:]
+    assert len(rows) == 9
+    assert all(row.endswith(("| yes |", "| no |")) for row in rows)
+    ahead = next(row for row in rows if "case 1 communicates more" in row)
+    assert ahead.endswith("| no |")  # the four are one policy
+    for figure in ("coverage", "communication", "enlargements"):
+        assert (tmp_path / "paper" / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
+    results = json.loads((tmp_path / "paper" / "results.json").read_text())["results"]
+    assert list(results) == ["mlp-case1", "mlp-case2", "cnn-case1", "cnn-case2"]
+    done = recipe("bundle.py", f"small={run}", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "small.safetensors").is_file()
+
+
 def test_replay_shows_every_policy_and_how_it_was_made(tmp_path):
     small = (
         "--height 6 --width 8 --num-agents 2 --arena-index 3 --steps 20 --out new/a.html".split()
@@ -199,8 +222,10 @@ def test_minimal_happo_learns_within_100_lines():
         "train_ray.py",
         "evaluate.py",
         "replay.py",
+        "bundle.py",
         "demo.py",
         "leaderboard.py",
+        "paper.py",
         "tune_planners.py",
         "minimal_happo.py",
     ],
@@ -241,6 +266,9 @@ def test_help(name):
         (["train.py", "fast", "--seeds", "4-"], "seeds='4-' is not allowed"),
         (["train.py", "fast", "--jobs", "0"], "jobs=0"),
         (["train.py", "resume", "nowhere"], "nowhere is not a run folder"),
+        (["paper.py", "mlp-case1=run"], "policies=['mlp-case1'] is not allowed"),
+        (["bundle.py", "run"], "policies='run' is not allowed: use NAME=RUN"),
+        (["bundle.py", "name=nowhere"], "nowhere is not a run folder"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),
         (["demo.py", "--episodes", "1"], "episodes=1"),
     ],

@@ -1,0 +1,76 @@
+"""Policies that come with the package: made from a run, and replayed to their recorded scores."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from marl_explore import list_policies, load_policy, runs
+from marl_explore.bundled import bundle, recorded_replay, replay_score
+from marl_explore.config import ArenaConfig, TrainConfig
+from marl_explore.execution import RunConfig
+from marl_explore.policies import policy_info
+
+TINY = TrainConfig(
+    ArenaConfig(height=6, width=6, num_agents=2),
+    hidden=(8, 8),
+    episodes=4,
+    episode_steps=10,
+    num_envs=2,
+    rollout_steps=10,
+)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    runs.train(TINY, folder, RunConfig(validate_every=0), progress=False)
+    return folder
+
+
+def test_a_bundled_policy_replays_to_what_is_recorded_with_it(run, tmp_path):
+    path = bundle(run, "tiny", tmp_path)
+    assert path == tmp_path / "tiny.safetensors"
+    first, again = (replay_score(load_policy(path)) for _ in range(2))
+    assert first == again == recorded_replay(path)
+    assert len(first["steps_to_100"]) == 20
+    assert len(set(first["steps_to_100"])) > 5
+
+
+def test_a_bundled_policy_says_where_it_comes_from(run, tmp_path):
+    info = policy_info(bundle(run, "tiny", tmp_path))
+    assert info["config"] == json.loads((run / "config.json").read_text())
+    assert info["run"]["starts"][0]["versions"]["torch"] == torch.__version__
+    assert [frames for frames, _ in info["curves"]["entropy"]] == [20, 40]
+    assert 0 < info["score"]["steps_to_100"] <= 301
+
+
+def test_it_is_the_runs_policy_in_half_precision(run, tmp_path):
+    ours, theirs = (load_policy(path).state_dict() for path in (bundle(run, "t", tmp_path), run))
+    for key, value in theirs.items():
+        assert ours[key].equal(value.half().float()), key
+
+
+def test_another_policy_replays_to_another_score(run, tmp_path):
+    path = bundle(run, "tiny", tmp_path)
+    policy = load_policy(path)
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.mul_(-1)
+    assert replay_score(policy) != recorded_replay(path)
+
+
+def test_an_unfinished_run_is_refused(run, tmp_path):
+    runs.prepare(TINY, tmp_path / "new", RunConfig())
+    shutil.copy(run / "policy.safetensors", tmp_path / "new")
+    with pytest.raises(ValueError, match="is not finished"):
+        bundle(tmp_path / "new", "tiny", tmp_path)
+    assert not (tmp_path / "tiny.safetensors").exists()
+
+
+def test_every_policy_of_the_package_replays_to_its_exact_score():
+    for name in list_policies():
+        assert replay_score(load_policy(name)) == recorded_replay(name), name
