@@ -141,6 +141,7 @@ class ArenaConfig:
 
 
 Architecture = Literal["mlp", "cnn"]
+Ability = Literal["fov", "fpr", "net", "communication"]
 CriticInput = Literal["observation", "state"]
 Precision = Literal["float32", "bfloat16"]
 _CHOICES = {
@@ -149,6 +150,9 @@ _CHOICES = {
     "precision": get_args(Precision),
     "fpr": ("relative", "proximity", "absolute"),
 }
+
+
+ABILITIES: tuple[Ability, ...] = get_args(Ability)
 
 
 @dataclass(frozen=True)
@@ -169,6 +173,8 @@ class TrainConfig:
     """Widths of the hidden layers; a CNN uses the last one."""
     norm_last: bool = False
     """Whether the last hidden layer of an MLP is normalised too."""
+    without: tuple[Ability, ...] = ()
+    """What actors must do without: parts of the observation (they read 0), or to communicate."""
     critic_reads: CriticInput = "observation"
     """Whether the critic reads the joint observation (the paper) or the true state."""
     episodes: int = 5000
@@ -227,6 +233,8 @@ class TrainConfig:
             _require(getattr(self, name) in allowed, name, getattr(self, name), f"use {allowed}")
         for width in self.hidden:
             require_integer("hidden", width, 1)
+        for ability in self.without:
+            _require(ability in ABILITIES, "without", self.without, f"use some of {ABILITIES}")
         _require(len(self.hidden) > 0, "hidden", self.hidden, "it needs at least one width")
         for name in ("clip_epsilon", "actor_lr", "critic_lr", "adam_eps", "max_grad_norm"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")

@@ -17,8 +17,8 @@ from tensordict.nn import (
 )
 from torch import Tensor, nn
 
-from marl_explore.config import Architecture, ArenaConfig, CriticInput
-from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
+from marl_explore.config import Ability, Architecture, ArenaConfig, CriticInput
+from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
 from marl_explore.core.mapping import known_mask
 
 OBSERVATION_KEYS: list[NestedKey] = [
@@ -201,6 +201,34 @@ class StateCritic(nn.Module):
         return self.layers(torch.cat((*parts, place), -1)).float()
 
 
+class Ablated(nn.Module):
+    """An actor that does without some of its inputs, which it reads as 0, or never communicates.
+
+    Args:
+        actor: the network.
+        without: what it does without.
+    """
+
+    def __init__(self, actor: nn.Module, without: Sequence[Ability]) -> None:
+        super().__init__()
+        self.actor = actor
+        self.without = frozenset(without)
+
+    def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
+        """Logits [*B, 10]."""
+        inputs = {"fov": fov, "fpr": fpr, "net": net}
+        for name in self.without & inputs.keys():
+            inputs[name] = torch.zeros_like(inputs[name])
+        logits = self.actor(**inputs)
+        if "communication" in self.without:
+            logits = logits.index_fill(-1, torch.tensor(COMMUNICATE, device=logits.device), _NEVER)
+        return logits
+
+
+_NEVER = -1e4
+"""Logit of an action that is never chosen, in every precision."""
+
+
 def robots_first(*inputs: Tensor) -> list[Tensor]:
     """The inputs [*B, N, ...] with the robot axis in front."""
     return [x.movedim(-1 - dims, 0) for x, dims in zip(inputs, _EVENT_DIMS, strict=True)]
@@ -216,11 +244,15 @@ def make_actor(
     architecture: Architecture,
     hidden: Sequence[int],
     norm_last: bool = False,
+    without: Sequence[Ability] = (),
 ) -> nn.Module:
     """One robot's actor network; of ``hidden`` a CNN uses the last width."""
-    if architecture == "mlp":
-        return MLPActor(config, hidden, norm_last)
-    return CNNActor(config, hidden[-1])
+    actor = (
+        MLPActor(config, hidden, norm_last)
+        if architecture == "mlp"
+        else CNNActor(config, hidden[-1])
+    )
+    return Ablated(actor, without) if without else actor
 
 
 def make_critic(

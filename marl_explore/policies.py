@@ -20,7 +20,7 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from marl_explore.config import Architecture, ArenaConfig
+from marl_explore.config import Ability, Architecture, ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.files import whole_file
 from marl_explore.models import make_actor
@@ -41,11 +41,12 @@ class PolicySpec:
     hidden: tuple[int, ...]
     fpr: Normalization | None
     norm_last: bool = False
+    without: tuple[Ability, ...] = ()
 
     def make_actors(self) -> list[nn.Module]:
         """A freshly initialised network per robot."""
         return [
-            make_actor(self.arena, self.architecture, self.hidden, self.norm_last)
+            make_actor(self.arena, self.architecture, self.hidden, self.norm_last, self.without)
             for _ in range(self.arena.num_agents)
         ]
 
@@ -157,7 +158,8 @@ def load_policy(path_or_name: str | Path) -> Policy:
         )
     try:
         fields = json.loads(metadata["spec"])
-        fields |= {"arena": ArenaConfig(**fields["arena"]), "hidden": tuple(fields["hidden"])}
+        fields["arena"] = ArenaConfig(**fields["arena"])
+        fields |= {key: tuple(fields[key]) for key in ("hidden", "without") if key in fields}
         spec = PolicySpec(**fields)
         policy = Policy(spec, spec.make_actors())
         policy.actors.load_state_dict(weights)

@@ -174,7 +174,8 @@ def read_settings(folder: Path) -> tuple[TrainConfig, RunConfig]:
     """
     try:
         fields = json.loads((folder / CONFIG_FILE).read_text())
-        fields |= {"arena": ArenaConfig(**fields["arena"]), "hidden": tuple(fields["hidden"])}
+        fields["arena"] = ArenaConfig(**fields["arena"])
+        fields |= {key: tuple(fields[key]) for key in ("hidden", "without") if key in fields}
         record = json.loads((folder / RECORD_FILE).read_text())
         return TrainConfig(**fields), RunConfig(**record["execution"])
     except OSError as error:

@@ -68,7 +68,12 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.config = config
         spec = PolicySpec(
-            config.arena, config.architecture, config.hidden, config.fpr, config.norm_last
+            config.arena,
+            config.architecture,
+            config.hidden,
+            config.fpr,
+            config.norm_last,
+            config.without,
         )
         self.policy = Policy(spec, spec.make_actors())
         critic = make_critic(

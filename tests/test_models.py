@@ -16,6 +16,7 @@ from marl_explore.models import (
     CNNCritic,
     MLPActor,
     MLPCritic,
+    make_actor,
     make_critic,
 )
 from marl_explore.stacked import side_by_side
@@ -126,7 +127,37 @@ def test_stacked_actors_are_the_single_ones(actor):
         torch.testing.assert_close(stacked[:, :, i], alone)
 
 
-@pytest.mark.parametrize("actor", [MLPActor, partial(MLPActor, norm_last=True), CNNActor])
+@pytest.mark.parametrize("architecture", ["mlp", "cnn"])
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_an_actor_without_an_input_reads_0_there(architecture, index):
+    inputs = observation(5, config=PAPER)
+    blind = make_actor(PAPER, architecture, (16, 16), without=[("fov", "fpr", "net")[index]])
+    other = [x + (i == index) for i, x in enumerate(inputs)]
+    assert blind(*other).equal(blind(*inputs))
+    zero = [x * (i != index) for i, x in enumerate(inputs)]
+    assert blind(*inputs).equal(blind.actor(*zero))
+    assert not blind(*inputs).equal(blind.actor(*inputs))
+
+
+def test_an_actor_without_communication_never_communicates():
+    inputs = observation(5, config=PAPER)
+    actor = make_actor(PAPER, "mlp", (16, 16), without=["communication"])
+    logits = actor(*inputs)
+    assert logits[..., :9].equal(actor.actor(*inputs)[..., :9])
+    assert (logits.softmax(-1)[..., 9] == 0).all()
+    logits.sum().backward()
+    assert all(p.grad.isfinite().all() for p in actor.parameters())
+
+
+@pytest.mark.parametrize(
+    "actor",
+    [
+        MLPActor,
+        partial(MLPActor, norm_last=True),
+        CNNActor,
+        partial(make_actor, architecture="mlp", hidden=(16,), without=["fpr", "communication"]),
+    ],
+)
 def test_actors_run_together_are_the_single_ones_in_their_latest_state(actor):
     config = ArenaConfig(num_agents=3, sensing_range=1.8)
     stacked = StackedActors([actor(config) for _ in range(3)])
