@@ -36,6 +36,7 @@ def parallel_env(
     seed: int = 0,
     stream: str = "train",
     fpr: Normalization | None = "relative",
+    shared_reward: bool = True,
 ) -> ParallelExploration:
     """One arena of the exploration task as a PettingZoo environment; see ``ParallelExploration``.
 
@@ -43,6 +44,7 @@ def parallel_env(
         render_mode: what ``render`` gives: "rgb_array", "ansi", or None.
         config, reward, max_steps, terminate_at_coverage, arenas, seed, stream, fpr: as for
         ``make_env``.
+        shared_reward: whether each robot gets the team's reward, or else its own.
 
     Raises:
         ValueError: naming argument, value and what is allowed.
@@ -57,6 +59,7 @@ def parallel_env(
         seed=seed,
         stream=stream,
         fpr=fpr,
+        shared_reward=shared_reward,
     )
 
 
@@ -66,7 +69,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
     It is arena 0 of ``make_env`` with the same arguments: the same seed and actions give the same
     episode. A robot observes a dictionary of "observation", float32 [(2k+1)^2 + 24 + N] (FOV, FPR
     and NET in a row), and "action_mask", int8 [10], which the info holds too. All robots get the
-    team's reward; the info has their "individual_reward".
+    team's reward, the mean of their own, unless ``shared_reward`` is False.
 
     ``reset()`` goes on to the next episode's arena, ``reset(seed)`` starts again at the first one
     of that seed, ``reset(options={"obstacles": ..., "positions": ...})`` takes the arena bool
@@ -86,6 +89,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         reward: str | Reward,
         max_steps: int,
         render_mode: RenderMode | None,
+        shared_reward: bool,
         **options: Any,
     ) -> None:
         if render_mode not in (None, *_RENDER_MODES):
@@ -93,6 +97,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
                 f"render_mode={render_mode!r} is not allowed: use None or one of {_RENDER_MODES}"
             )
         self.render_mode = render_mode
+        self.shared_reward = shared_reward
         self._env = make_env(config, 1, reward, max_steps, **options)
         self._config: ArenaConfig = self._env.base_env.config
         self._now: TensorDictBase | None = None
@@ -162,8 +167,9 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         before = self._current.select("obstacles", "step_count", "agents", strict=False)
         before["agents", "action"] = torch.tensor([chosen])
         self._now = self._env.step(before)["next"]
-        outcome = [self._now[key].item() for key in ("reward", "terminated", "truncated")]
-        rewards, terminated, truncated = (dict.fromkeys(self.agents, value) for value in outcome)
+        outcome = [self._now[key].item() for key in ("terminated", "truncated")]
+        terminated, truncated = (dict.fromkeys(self.agents, value) for value in outcome)
+        rewards = self._rewards()
         observations, infos = self._observations(), self._infos()
         if self._now["done"].item():
             self.agents = []
@@ -225,11 +231,16 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         }
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        own, masks = self._current["agents", "individual_reward"][0, :, 0], self._masks()
         return {
-            agent: {"action_mask": masks[i], "individual_reward": own[i].item()}
-            for i, agent in enumerate(self.agents)
+            agent: {"action_mask": mask}
+            for agent, mask in zip(self.agents, self._masks(), strict=True)
         }
+
+    def _rewards(self) -> dict[str, float]:
+        if self.shared_reward:
+            return dict.fromkeys(self.agents, self._current["reward"].item())
+        own = self._current["agents", "individual_reward"][0, :, 0]
+        return dict(zip(self.agents, own.tolist(), strict=True))
 
     def _masks(self) -> NDArray[np.int8]:
         return self._current["agents", "action_mask"][0].to(torch.int8).numpy()

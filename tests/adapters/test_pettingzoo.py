@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from pettingzoo.test import parallel_api_test, parallel_seed_test
+from torchrl.envs import MarlGroupMapType, PettingZooWrapper, check_env_specs
 
 from marl_explore import ArenaConfig, make_env
 from marl_explore.adapters.pettingzoo import parallel_env
@@ -28,11 +29,11 @@ def test_it_passes_the_parallel_seed_test():
     parallel_seed_test(lambda: parallel_env(SMALL, max_steps=20))
 
 
-@pytest.mark.parametrize("reward", ["case1", "case2", "team"])
-def test_the_same_seed_and_actions_give_the_episodes_of_the_torchrl_env(reward):
+@pytest.mark.parametrize(("reward", "shared"), [("case1", True), ("case2", False), ("team", True)])
+def test_the_same_seed_and_actions_give_the_episodes_of_the_torchrl_env(reward, shared):
     options = {"reward": reward, "max_steps": 15, "seed": 4, "fpr": "proximity"}
     ours = make_env(SMALL, **options, terminate_at_coverage=0.7)
-    other = parallel_env(SMALL, **options, terminate_at_coverage=0.7)
+    other = parallel_env(SMALL, **options, terminate_at_coverage=0.7, shared_reward=shared)
     generator = torch.Generator().manual_seed(0)
     ended = set()
     for _ in range(6):
@@ -43,6 +44,7 @@ def test_the_same_seed_and_actions_give_the_episodes_of_the_torchrl_env(reward):
                 assert np.array_equal(seen[agent]["observation"], features(agents, i))
                 mask = agents["action_mask"][0, i].numpy()
                 assert np.array_equal(seen[agent]["action_mask"], mask)
+                assert list(infos[agent]) == ["action_mask"]
                 assert np.array_equal(infos[agent]["action_mask"], mask)
                 assert other.observation_space(agent).contains(seen[agent])
             if not other.agents:
@@ -51,12 +53,12 @@ def test_the_same_seed_and_actions_give_the_episodes_of_the_torchrl_env(reward):
             observation["agents", "action"] = action
             observation = ours.step(observation)["next"]
             chosen = dict(zip(other.agents, action[0].tolist(), strict=True))
-            seen, *outcome, infos = other.step(chosen)
-            for key, values in zip(("reward", "terminated", "truncated"), outcome, strict=True):
+            seen, rewards, *ends, infos = other.step(chosen)
+            for key, values in zip(("terminated", "truncated"), ends, strict=True):
                 assert set(values.values()) == {observation[key].item()}, key
-            for i, agent in enumerate(other.possible_agents):
-                own = observation["agents", "individual_reward"][0, i].item()
-                assert infos[agent]["individual_reward"] == own
+            own = observation["agents", "individual_reward"].flatten().tolist()
+            team = [observation["reward"].item()] * 3
+            assert [rewards[agent] for agent in other.possible_agents] == (team if shared else own)
         ended.add((observation["terminated"].item(), observation["truncated"].item()))
     assert len(ended) > 1  # some arenas were covered, others took too long
 
@@ -70,6 +72,33 @@ def test_reset_goes_on_to_the_next_arena_and_a_seed_starts_again():
     assert not np.array_equal(states[0], states[1])
     assert not np.array_equal(states[2], states[3])
     assert np.array_equal(states[2], states[4])
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version")
+def test_torchrl_wraps_it_with_masks():
+    env = PettingZooWrapper(
+        parallel_env(SMALL, max_steps=8),
+        group_map=MarlGroupMapType.ALL_IN_ONE_GROUP,
+        categorical_actions=True,
+        return_state=True,
+        seed=3,
+    )
+    check_env_specs(env)
+    env.set_seed(3)
+    ours = make_env(SMALL, max_steps=8, seed=3)
+    ours.reset()  # as set_seed of the wrapper does
+    steps = env.rollout(20)
+    assert len(steps) == 8
+    observation = ours.reset()
+    for step in steps:
+        agents = observation["agents"]
+        seen = step["agents", "observation", "observation"]
+        assert [row.tolist() for row in seen] == [features(agents, i).tolist() for i in range(3)]
+        assert step["agents", "action_mask"].equal(agents["action_mask"][0])
+        assert env.state_space.contains(step["state"].numpy())
+        agents["action"] = step["agents", "action"].unsqueeze(0)
+        observation = ours.step(observation)["next"]
+        assert (step["next", "agents", "reward"] == observation["reward"]).all()
 
 
 def test_given_starts():
