@@ -62,6 +62,8 @@ class Loggers:
         for logger in self._loggers:
             for name, value in metrics.items():
                 logger.log_scalar(name, value, frames)
+        # TorchRL's CSV logger keeps all that it has written, which adds up in long runs
+        self._loggers[0].experiment.scalars.clear()
 
 
 def _open(name: str, folder: Path) -> Logger:

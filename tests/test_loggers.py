@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,21 @@ def test_rows_of_lost_updates_are_dropped(tmp_path):
     again.log({"reward": 7.0}, 30)
     assert (tmp_path / "scalars" / "reward.csv").read_text() == "10,1.0\n20,2.0\n30,7.0\n"
     assert (tmp_path / "scalars" / "coverage.csv").read_text() == "10,0.5\n20,0.5\n"
+
+
+def test_what_is_written_is_not_kept_in_memory(tmp_path):
+    loggers = Loggers("csv", tmp_path, {}, frames=0)
+    tracemalloc.start()
+    try:
+        for frames in range(4000):
+            if frames == 1000:
+                before = tracemalloc.get_traced_memory()[0]
+            loggers.log({"reward": frames / 7}, frames)
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 30_000  # a kept row takes 100 bytes or more
+    assert len((tmp_path / "scalars" / "reward.csv").read_text().splitlines()) == 4000
 
 
 def test_hyper_parameters_are_logged_flat(tmp_path):
