@@ -41,7 +41,9 @@ needs_kernel = pytest.mark.skipif(native.missing() is not None, reason=str(nativ
 
 
 @needs_kernel
-@pytest.mark.parametrize("size", [(31, 33), (32, 32), (33, 32), (64, 40), (1, 2000), (128, 128)])
+@pytest.mark.parametrize(
+    "size", [(32, 16), (33, 16), (32, 17), (33, 32), (64, 40), (1, 2000), (128, 128)]
+)
 def test_large_grids_agree_with_torch(size):
     """On both sides of the size from which the kernel searches with a queue."""
     maps, positions = open_maps(12, height=size[0], width=size[1])
@@ -51,17 +53,21 @@ def test_large_grids_agree_with_torch(size):
 
 
 @needs_kernel
-def test_paths_longer_than_a_byte_counts_agree_with_torch():
-    rows = []
-    for row in range(31):
-        wall = torch.ones(31, dtype=torch.int8)
-        wall[-1 if row % 4 == 1 else 0] = 0
-        rows.append(wall if row % 2 else torch.zeros(31, dtype=torch.int8))
-    maps = torch.stack(rows).unsqueeze(0)
-    maps[0, -1, 15] = -1
+@pytest.mark.parametrize(("height", "width", "longest"), [(32, 16, 248), (31, 31, 479)])
+def test_the_longest_paths_agree_with_torch(height, width, longest):
+    """Nearly as long as a byte counts, where the kernel has a byte, and beyond."""
+    columns = []
+    for column in range(width):
+        wall = torch.ones(height, dtype=torch.int8)
+        wall[-1 if column % 4 == 1 else 0] = 0
+        columns.append(wall if column % 2 else torch.zeros(height, dtype=torch.int8))
+    maps = torch.stack(columns, -1).unsqueeze(0)
+    last = width - 1 - (width + 1) % 2
+    maps[0, 0 if last % 4 else -1, last] = -1  # at the end of the last free column
     positions = torch.tensor([[0, 0]])
     table = native.feature_table(maps, positions, None)
-    assert table[..., 1].max() > 400
+    assert table.any()
+    assert frontier.paths(maps, positions)[1].max() == longest
     assert table.equal(frontier.feature_table(maps, positions, None))
 
 
