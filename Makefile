@@ -9,7 +9,10 @@ BIN := $(VENV)/bin
 # One thread per process: small batches gain nothing from more.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo programs test test-all lint speed leaderboard clean
+# BenchMARL needs an environment of its own: it asks for other versions than it runs on
+BENCHMARL := .venv-benchmarl
+
+.PHONY: demo programs test test-all test-benchmarl lint speed leaderboard clean
 # one after the other: they share an environment, and the programs come before what is built by them
 .NOTPARALLEL:
 
@@ -19,8 +22,11 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n 2 tests --ignore=tests/extras
 
-test-all: programs test $(VENV)/installed-extras
-	$(BIN)/python -m pytest -n 2 tests/extras
+test-all: programs test test-benchmarl $(VENV)/installed-extras
+	$(BIN)/python -m pytest -n 2 tests/extras --ignore=tests/extras/benchmarl
+
+test-benchmarl: $(BENCHMARL)/installed
+	$(BENCHMARL)/bin/python -m pytest tests/extras/benchmarl
 
 programs:
 	tests/extras/install.sh
@@ -58,5 +64,13 @@ $(VENV)/installed-extras: $(VENV)/installed-dev
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser,ray,tensorboard,wandb,mlflow]"
 	touch $@
 
+$(BENCHMARL)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(BENCHMARL)
+	$(BENCHMARL)/bin/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
+	$(BENCHMARL)/bin/python -m pip install -q -c constraints.txt -e ".[lab]" pytest
+	$(BENCHMARL)/bin/python -m pip install -q --no-deps "benchmarl==1.5.2"
+	$(BENCHMARL)/bin/python -m pip install -q "hydra-core==1.3.8"
+	touch $@
+
 clean:
-	rm -rf $(VENV) demo leaderboard build dist *.egg-info
+	rm -rf $(VENV) $(BENCHMARL) demo leaderboard build dist *.egg-info
