@@ -12,16 +12,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+PAGES = ("README.md", "docs/adapters.md", "docs/planners.md", "docs/replay.md")
 BLOCKS = [
     (page, block)
-    for page in ("README.md", "docs/replay.md", "docs/planners.md")
+    for page in PAGES
     for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
     if "..." not in block
 ]
 
 
 def test_there_are_examples():
-    assert {page for page, _ in BLOCKS} == {"README.md", "docs/replay.md", "docs/planners.md"}
+    assert {page for page, _ in BLOCKS} == {*PAGES}
 
 
 @pytest.mark.parametrize(("page", "block"), BLOCKS, ids=range(len(BLOCKS)))

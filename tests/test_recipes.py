@@ -13,6 +13,7 @@ import pytest
 from marl_explore import ArenaConfig
 from marl_explore.planners import PLANNERS, Planner
 from marl_explore.policies import load_policy
+from recipes import pettingzoo_torchrl
 from recipes import tune_planners as tune
 
 ROOT = Path(__file__).parents[1]
@@ -215,6 +216,12 @@ def test_minimal_happo_learns_within_100_lines():
     assert lengths[-1] < 0.8 * lengths[0]
 
 
+def test_torchrl_learns_through_the_pettingzoo_wrapper():
+    returns = pettingzoo_torchrl.main(updates=12)
+    assert len(returns) == 12
+    assert sum(returns[-4:]) / 4 > sum(returns[:4]) / 4 + 0.1
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -228,6 +235,7 @@ def test_minimal_happo_learns_within_100_lines():
         "paper.py",
         "tune_planners.py",
         "minimal_happo.py",
+        "pettingzoo_torchrl.py",
     ],
 )
 def test_help(name):

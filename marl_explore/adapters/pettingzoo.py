@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import index
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -22,6 +23,7 @@ from marl_explore.make import make_env
 RenderMode = Literal["rgb_array", "ansi"]
 _RENDER_MODES: tuple[RenderMode, ...] = get_args(RenderMode)
 Observation = dict[str, NDArray[Any]]
+_FEATURES = ("fov", "fpr", "net")
 _START = ("obstacles", "positions")
 
 
@@ -35,6 +37,7 @@ def parallel_env(
     arenas: str | Generator = "uniform",
     seed: int = 0,
     stream: str = "train",
+    first_arena: int = 0,
     fpr: Normalization | None = "relative",
     shared_reward: bool = True,
 ) -> ParallelExploration:
@@ -42,8 +45,8 @@ def parallel_env(
 
     Args:
         render_mode: what ``render`` gives: "rgb_array", "ansi", or None.
-        config, reward, max_steps, terminate_at_coverage, arenas, seed, stream, fpr: as for
-        ``make_env``.
+        config, reward, max_steps, terminate_at_coverage, arenas, seed, stream, first_arena, fpr:
+            as for ``make_env``.
         shared_reward: whether each robot gets the team's reward, or else its own.
 
     Raises:
@@ -58,6 +61,7 @@ def parallel_env(
         arenas=arenas,
         seed=seed,
         stream=stream,
+        first_arena=first_arena,
         fpr=fpr,
         shared_reward=shared_reward,
     )
@@ -66,10 +70,10 @@ def parallel_env(
 class ParallelExploration(ParallelEnv[str, Observation, int]):
     """Robots "robot_0", "robot_1", ... that map an unknown arena together.
 
-    It is arena 0 of ``make_env`` with the same arguments: the same seed and actions give the same
-    episode. A robot observes a dictionary of "observation", float32 [(2k+1)^2 + 24 + N] (FOV, FPR
-    and NET in a row), and "action_mask", int8 [10], which the info holds too. All robots get the
-    team's reward, the mean of their own, unless ``shared_reward`` is False.
+    It is the first arena of ``make_env`` with the same arguments: the same seed and actions give
+    the same episode. A robot observes a dictionary of "observation", float32 [(2k+1)^2 + 24 + N]
+    (FOV, FPR and NET in a row), and "action_mask", int8 [10], which the info holds too. All robots
+    get the team's reward, the mean of their own, unless ``shared_reward`` is False.
 
     ``reset()`` goes on to the next episode's arena, ``reset(seed)`` starts again at the first one
     of that seed, ``reset(options={"obstacles": ..., "positions": ...})`` takes the arena bool
@@ -104,12 +108,16 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         robots = self._config.num_agents
         self.possible_agents = [f"robot_{i}" for i in range(robots)]
         self.agents: list[str] = []
-        numbers = spaces.Box(-np.inf, np.inf, (self._config.observation_size,), np.float32)
-        entries = {"observation": numbers, "action_mask": spaces.MultiBinary(NUM_ACTIONS)}
-        self.observation_spaces = {agent: spaces.Dict(entries) for agent in self.possible_agents}
+        self.observation_spaces = {agent: self._observed_space() for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(NUM_ACTIONS) for agent in self.possible_agents}
         cells = self._config.num_cells
         self.state_space = spaces.Box(-1, 1, ((1 + robots) * cells + 2 * robots,), np.float32)
+
+    def _observed_space(self) -> spaces.Dict:
+        specs = [self._env.observation_spec["agents", "observation", key] for key in _FEATURES]
+        high = torch.cat([spec.high[0, 0].flatten() for spec in specs]).numpy()
+        numbers = spaces.Box(np.zeros_like(high), high)
+        return spaces.Dict(observation=numbers, action_mask=spaces.MultiBinary(NUM_ACTIONS))
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Space of what one robot observes."""
@@ -158,12 +166,17 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
                 says.
 
         Raises:
-            ValueError: when a robot has no action, or one that is none of the ten.
+            ValueError: when a robot has no action, or one that is none of the ten, or when there
+                is no such robot.
             RuntimeError: before a reset, and after the end of an episode.
         """
         if not self.agents:
             raise RuntimeError("no episode is under way: call reset() first")
-        chosen = [self._checked(actions, agent) for agent in self.agents]
+        if strangers := set(actions).difference(self.agents):
+            raise ValueError(
+                f"actions of {sorted(strangers)} are not allowed: the robots are {self.agents}"
+            )
+        chosen = [_checked(agent, actions.get(agent)) for agent in self.agents]
         before = self._current.select("obstacles", "step_count", "agents", strict=False)
         before["agents", "action"] = torch.tensor([chosen])
         self._now = self._env.step(before)["next"]
@@ -211,19 +224,9 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         agents = TensorDict({"position": positions}, batch_size=[1, len(self.possible_agents)])
         return TensorDict({"obstacles": obstacles, "agents": agents}, batch_size=[1])
 
-    @staticmethod
-    def _checked(actions: dict[str, int], agent: str) -> int:
-        action = actions.get(agent)
-        if action is None or not 0 <= int(action) < NUM_ACTIONS:
-            raise ValueError(
-                f"actions[{agent!r}]={action!r} is not allowed: every robot needs an action from "
-                f"0 to {NUM_ACTIONS - 1}"
-            )
-        return int(action)
-
     def _observations(self) -> dict[str, Observation]:
         agents = self._current["agents"]
-        features = [agents["observation", key][0].flatten(1) for key in ("fov", "fpr", "net")]
+        features = [agents["observation", key][0].flatten(1) for key in _FEATURES]
         numbers, masks = torch.cat(features, -1).numpy(), self._masks()
         return {
             agent: {"observation": numbers[i], "action_mask": masks[i]}
@@ -244,3 +247,16 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
 
     def _masks(self) -> NDArray[np.int8]:
         return self._current["agents", "action_mask"][0].to(torch.int8).numpy()
+
+
+def _checked(agent: str, action: Any) -> int:
+    try:
+        chosen = index(action)
+    except TypeError:
+        chosen = -1
+    if not 0 <= chosen < NUM_ACTIONS:
+        raise ValueError(
+            f"actions[{agent!r}]={action!r} is not allowed: every robot needs an action from "
+            f"0 to {NUM_ACTIONS - 1}"
+        )
+    return chosen

@@ -63,6 +63,33 @@ def test_the_same_seed_and_actions_give_the_episodes_of_the_torchrl_env(reward, 
     assert len(ended) > 1  # some arenas were covered, others took too long
 
 
+def test_features_fill_their_space():
+    env = parallel_env(SMALL, fpr=None)
+    high = env.observation_space("robot_0")["observation"].high
+    assert high.tolist() == [1] * 9 + [30] * 24 + [1] * 3
+
+
+def test_robots_draw_from_spaces_of_their_own():
+    env = parallel_env(SMALL)
+    one, other = map(env.observation_space, env.possible_agents[:2])
+    other.seed(1)
+    expected = other.sample()
+    other.seed(1)
+    one.seed(2)
+    assert np.array_equal(other.sample()["observation"], expected["observation"])
+
+
+def test_another_first_arena():
+    states = {}
+    for seed, first in ((0, 0), (0, 1), (5, 1)):
+        env = parallel_env(SMALL, first_arena=first)
+        env.reset(seed)
+        states[seed, first] = env.state()
+    second = make_env(SMALL, num_envs=2).reset()["obstacles"][1].flatten()
+    assert np.array_equal(states[0, 1][:30], second)
+    assert len({state.tobytes() for state in states.values()}) == 3
+
+
 def test_reset_goes_on_to_the_next_arena_and_a_seed_starts_again():
     env = parallel_env(SMALL)
     states = []
@@ -94,7 +121,9 @@ def test_torchrl_wraps_it_with_masks():
         agents = observation["agents"]
         seen = step["agents", "observation", "observation"]
         assert [row.tolist() for row in seen] == [features(agents, i).tolist() for i in range(3)]
-        assert step["agents", "action_mask"].equal(agents["action_mask"][0])
+        mask = step["agents", "action_mask"]
+        assert mask.equal(agents["action_mask"][0])
+        assert mask.gather(-1, step["agents", "action"].unsqueeze(-1)).all()
         assert env.state_space.contains(step["state"].numpy())
         agents["action"] = step["agents", "action"].unsqueeze(0)
         observation = ours.step(observation)["next"]
@@ -148,6 +177,8 @@ def test_without_a_render_mode_nothing_is_drawn():
         ({"robot_0": 8, "robot_1": 8}, r"actions\['robot_2'\]=None is not allowed"),
         ({"robot_0": 8, "robot_1": 8, "robot_2": 10}, r"actions\['robot_2'\]=10 is not allowed"),
         ({"robot_0": -1, "robot_1": 8, "robot_2": 8}, r"actions\['robot_0'\]=-1 is not allowed"),
+        ({"robot_0": 8, "robot_1": 1.5, "robot_2": 8}, r"actions\['robot_1'\]=1.5 is not allowed"),
+        ({"robot_0": 8, "robot_1": 8, "robot_2": 8, "robot_3": 8}, r"actions of \['robot_3'\]"),
     ],
 )
 def test_every_robot_needs_one_of_the_ten_actions(chosen, message):

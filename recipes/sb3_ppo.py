@@ -1,0 +1,76 @@
+"""Stable-Baselines3's PPO on the PettingZoo environment, made a vector of robots by SuperSuit.
+
+python recipes/sb3_ppo.py
+
+Every robot of every arena is one environment to PPO, and all share one policy. It sees the action
+mask as a part of its observation: Stable-Baselines3 itself does not mask actions. It needs the
+extra "sb3" (``pip install "marl-explore[sb3]"``).
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import tyro
+from stable_baselines3 import PPO
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecMonitor
+from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
+
+from marl_explore import ArenaConfig
+from marl_explore.adapters.pettingzoo import parallel_env
+
+ARENAS, STEPS = 8, 25
+
+
+def vectorized_env(seed: int = 0) -> VecMonitor:
+    """Robots of 8 arenas as one vector of environments, with their returns in the infos."""
+    arena = ArenaConfig(height=6, width=6, num_agents=3, communication_range=2.0)
+    env = parallel_env(arena, "team", STEPS, fpr="proximity")
+    robots = pettingzoo_env_to_vec_env_v1(env)
+    vector = concat_vec_envs_v1(robots, ARENAS, base_class="stable_baselines3")
+    vector.venv.reset(seed=seed)  # the copies of the environment: seed, seed + 1, ...
+    with warnings.catch_warnings():  # SuperSuit's vector cannot be asked for it
+        warnings.filterwarnings("ignore", "The `render_mode` attribute is not defined")
+        return VecMonitor(vector)
+
+
+def mean_return(model: PPO, episodes: int = 10, seed: int = 1_000_000) -> float:
+    """Mean return of sampled actions over some episodes of each robot in unseen arenas."""
+    env = vectorized_env(seed)
+    observation: Any = env.reset()
+    returns: list[float] = []
+    while len(returns) < episodes * env.num_envs:
+        action, _ = model.predict(observation)
+        observation, _, _, infos = env.step(action)
+        returns += [info["episode"]["r"] for info in infos if "episode" in info]
+    return sum(returns) / len(returns)
+
+
+def main(steps: int = 60_000, seed: int = 0) -> tuple[float, float]:
+    """Train a shared policy; returns the mean return before and after.
+
+    Args:
+        steps: steps of robots.
+        seed: of arenas, network and actions.
+    """
+    set_random_seed(seed)  # PPO's own argument would seed the environment, which SuperSuit cannot
+    model = PPO(
+        "MultiInputPolicy",
+        vectorized_env(seed),
+        n_steps=2 * STEPS,
+        batch_size=300,
+        gamma=0.95,
+        ent_coef=0.01,
+        device="cpu",
+    )
+    before = mean_return(model)
+    model.learn(steps)
+    after = mean_return(model)
+    print(f"mean return: {before:.2f} before, {after:.2f} after {model.num_timesteps} steps")
+    return before, after
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
