@@ -12,7 +12,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "docs/adapters.md", "docs/planners.md", "docs/replay.md")
+PAGES = (
+    "README.md",
+    "docs/adapters.md",
+    "docs/planners.md",
+    "docs/replay.md",
+    "docs/transforms.md",
+)
 BLOCKS = [
     (page, block)
     for page in PAGES

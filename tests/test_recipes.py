@@ -9,12 +9,15 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from marl_explore import ArenaConfig
+from marl_explore.arenas import load_map
 from marl_explore.planners import PLANNERS, Planner
 from marl_explore.policies import load_policy
-from recipes import pettingzoo_torchrl
+from recipes import foreign_maps, pettingzoo_torchrl
 from recipes import tune_planners as tune
+from tests import reference
 
 ROOT = Path(__file__).parents[1]
 TINY = (
@@ -222,6 +225,30 @@ def test_torchrl_learns_through_the_pettingzoo_wrapper():
     assert sum(returns[-4:]) / 4 > sum(returns[:4]) / 4 + 0.1
 
 
+def test_map_files_become_a_buffer_with_features(tmp_path):
+    (tmp_path / "cave.txt").write_text("....#...\n" * 7)
+    (tmp_path / "hall.map").write_text(
+        "type octile\nheight 2\nwidth 20\nmap\n" + f"{'.' * 20}\n" * 2
+    )
+    paths = [tmp_path / "cave.txt", tmp_path / "hall.map"]
+    sample = foreign_maps.map_buffer([load_map(path) for path in paths], robots=3).sample()
+    assert sample["grid"].shape == (2, 3, 7, 20)
+    assert (sample["grid"] == -1).any()
+    for team in sample:
+        for robot in range(3):
+            place = tuple(team["at"][robot].tolist())
+            expected = reference.feature_table(team["grid"][robot].tolist(), place, None)
+            torch.testing.assert_close(team["fpr"][robot], torch.tensor(expected))
+        far = torch.cdist(team["at"].double(), team["at"].double()) > foreign_maps.RANGE_CELLS
+        assert torch.equal(team["net"] == 0, far)
+
+    done = recipe("foreign_maps.py", "files", *paths)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert [line for line in lines if line.startswith(str(tmp_path))] == [*map(str, paths)]
+    assert sum(line.split()[0].isdigit() for line in lines) == 8
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -236,6 +263,7 @@ def test_torchrl_learns_through_the_pettingzoo_wrapper():
         "tune_planners.py",
         "minimal_happo.py",
         "pettingzoo_torchrl.py",
+        "foreign_maps.py",
     ],
 )
 def test_help(name):

@@ -7,8 +7,14 @@ from functools import partial
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.envs import Compose, ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.data import (
+    Categorical,
+    Composite,
+    LazyTensorStorage,
+    TensorDictReplayBuffer,
+    Unbounded,
+)
+from torchrl.envs import Compose, EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 
 from marl_explore import (
     ArenaConfig,
@@ -126,34 +132,128 @@ def test_transforms_append_to_a_bare_environment():
     assert env.observation_spec[FPR].shape == (2, 4, 8, 3)
 
 
+def test_the_code_of_the_own_cell_does_not_matter():
+    for backend in ("auto", "torch"):
+        tables = []
+        for code in (-1, 0, 1):
+            grid = torch.tensor([[-1, 0, code, 0, -1]], dtype=torch.int8)
+            td = TensorDict({"map": grid, "at": torch.tensor([0, 2])}, [])
+            tables.append(FrontierReachability("map", "at", "fpr", None, backend)(td)["fpr"])
+        assert torch.equal(tables[0], tables[1])
+        assert torch.equal(tables[2], tables[1])
+        assert tables[1][[2, 6], 0].tolist() == [1, 1]  # a frontier in the east, one in the west
+
+
 # --------------------------------------------------------------------- bad input
+
+GRID, CELL = torch.zeros(4, 5, dtype=torch.int8), torch.zeros(2, dtype=torch.int64)
 
 
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"at": torch.zeros(2, dtype=torch.int64)}, "needs the entry 'seen'.*it holds at"),
+        ({"at": CELL}, "needs the entry 'seen', which is not in the TensorDict; it holds at"),
+        ({"seen": TensorDict({"map": GRID}), "at": CELL}, "'seen', which is a group of entries in"),
         (
-            {"seen": torch.zeros(4, 4), "at": torch.zeros(2, dtype=torch.int64)},
-            "'seen' must be int8 .*got torch.float32",
+            {"seen": GRID.float(), "at": CELL},
+            "'seen' must be int8 .*free, 1 occ.*got torch.float32",
         ),
+        ({"seen": GRID.bool(), "at": CELL}, "'seen' must be int8 .*got torch.bool"),
         (
-            {"seen": torch.zeros(4, 4, dtype=torch.int8), "at": torch.zeros(2)},
-            "'at' must be int64 .*got torch.float32",
+            {"seen": GRID[0], "at": CELL},
+            r"'seen' must be int8 of shape \[\*B, H, W\].*shape \(5,\)",
         ),
+        ({"seen": GRID[:0], "at": CELL}, r"'seen' must be int8 of shape .*shape \(0, 5\)"),
+        ({"seen": GRID, "at": CELL.float()}, "'at' must be int64 .*got torch.float32"),
+        ({"seen": GRID, "at": CELL.int()}, "'at' must be int64 .*got torch.int32"),
         (
-            {"seen": torch.zeros(3, 4, 4, dtype=torch.int8), "at": torch.zeros(2, 2).long()},
+            {"seen": GRID.expand(3, 4, 5), "at": CELL.expand(2, 2)},
             r"'at' must be int64 of shape \(3, 2\).*\(2, 2\)",
         ),
+        ({"seen": GRID, "at": CELL.to("meta")}, "'at' must be .*on cpu, got .* on meta"),
+        ({"seen": GRID, "at": torch.tensor([4, 0])}, r"'at' holds \(4, 0\).*4 x 5"),
+        ({"seen": GRID, "at": torch.tensor([0, -1])}, r"'at' holds \(0, -1\).*4 x 5"),
         (
-            {"seen": torch.zeros(4, 4, dtype=torch.int8), "at": torch.tensor([4, 0])},
-            r"'at' .*\(4, 0\).*4 x 4",
+            {"seen": GRID + 100, "at": CELL},
+            "'seen' holds 100, which is no code .* -1 unknown, 0 fre",
         ),
+        ({"seen": GRID - 2, "at": CELL}, "'seen' holds -2, which is no code"),
     ],
 )
 def test_entries_of_another_kind_are_named(entries, message):
-    with pytest.raises((KeyError, ValueError), match=message):
+    with pytest.raises((KeyError, ValueError), match=f"FrontierReachability.*{message}"):
         FrontierReachability("seen", "at", "fpr")(TensorDict(entries, []))
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"cell": CELL}, "needs the entry 'at', which is not in the TensorDict; it holds cell"),
+        ({}, "it holds nothing"),
+        (
+            {"at": CELL},
+            r"'at' must be int64 of shape \[\*B, N, 2\].*got torch.int64 of shape \(2,\)",
+        ),
+        ({"at": CELL.expand(3, 2).float()}, "'at' must be int64 .*got torch.float32"),
+        ({"at": CELL.expand(2, 2)[:, :1]}, r"'at' must be int64 .*of shape \(2, 1\)"),
+    ],
+)
+def test_positions_of_another_kind_are_named(entries, message):
+    with pytest.raises((KeyError, ValueError), match=f"CommunicationNeighbors.*{message}"):
+        CommunicationNeighbors("at", "net")(TensorDict(entries, []))
+
+
+def test_entries_under_next_are_checked_too():
+    step = {"seen": GRID, "at": CELL, "next": {"seen": GRID, "at": torch.tensor([9, 9])}}
+    with pytest.raises(ValueError, match=r"'at' holds \(9, 9\)"):
+        FrontierReachability("seen", "at", "fpr")(TensorDict(step, []))
+
+
+def test_an_environment_without_the_entries_is_refused():
+    env = TransformedEnv(ExplorationEnv(), FrontierReachability(map_key="map"))
+    with pytest.raises(KeyError, match="'map', which is not in the observation spec of the env"):
+        _ = env.observation_spec
+    with pytest.raises(KeyError, match="'map', which is not in the TensorDict"):
+        env.reset()
+    env = TransformedEnv(ExplorationEnv(), FrontierReachability(map_key="obstacles"))
+    with pytest.raises(ValueError, match="'obstacles' must be int8 .*got torch.bool"):
+        env.reset()
+
+
+class Foreign(EnvBase):
+    """One robot in a corridor; its specs say nothing about codes and cells."""
+
+    def __init__(self, code):
+        super().__init__()
+        self.code = code
+        self.observation_spec = Composite(
+            map=Unbounded((1, 3), dtype=torch.int8), cell=Unbounded((2,), dtype=torch.int64)
+        )
+        self.action_spec, self.reward_spec = Categorical(2), Unbounded((1,))
+
+    def _reset(self, tensordict):
+        grid = torch.tensor([[0, 0, self.code]], dtype=torch.int8)
+        return TensorDict({"map": grid, "cell": torch.zeros(2, dtype=torch.int64)})
+
+    def _step(self, tensordict):
+        ends = {"reward": torch.zeros(1), "done": torch.zeros(1, dtype=torch.bool)}
+        return self._reset(tensordict).update(ends)
+
+    def _set_seed(self, seed):
+        pass
+
+
+def test_specs_that_do_not_vouch_for_values_have_them_checked():
+    feature = FrontierReachability("map", "cell", "fpr", normalize=None)
+    env = TransformedEnv(Foreign(code=-1), feature)
+    assert env.rollout(2)["fpr"][1, 2].tolist() == [1, 1, 0]
+    assert not feature._vouched
+    env.base_env.code = 100
+    with pytest.raises(ValueError, match="'map' holds 100, which is no code"):
+        env.reset()
+    own = make_env()
+    own.reset()
+    assert own.transform[0]._vouched  # its maps are not searched for other codes at every step
 
 
 def test_settings_that_do_not_exist_are_refused():
@@ -161,5 +261,8 @@ def test_settings_that_do_not_exist_are_refused():
         FrontierReachability(normalize="max")
     with pytest.raises(ValueError, match="backend='cuda' is not one of"):
         FrontierReachability(backend="cuda")
-    with pytest.raises(ValueError, match="range_cells=-1.0 is not allowed"):
-        CommunicationNeighbors(range_cells=-1.0)
+    for wrong in (-1.0, float("nan"), "6"):
+        with pytest.raises(ValueError, match=f"range_cells={wrong!r} is not allowed"):
+            CommunicationNeighbors(range_cells=wrong)
+    with pytest.raises(ValueError, match="out_key='map' is not allowed"):
+        FrontierReachability("map", "cell", "map")

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NoReturn
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, TensorSpec
+from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import Transform
 
 
 class FeatureTransform(Transform):
     """Computes one feature from several entries of a TensorDict, with any batch dimensions.
 
-    A subclass gives ``compute`` and ``feature_spec``. On an environment the feature is part of
-    every observation; called on a TensorDict (as an nn.Module, or on samples of a replay buffer)
-    it is written at the root and, where the inputs are there too, under "next".
+    A subclass gives ``check_kinds``, ``compute`` and ``feature_spec``. On an environment the
+    feature is part of every observation; called on a TensorDict (as an nn.Module, or on samples of
+    a replay buffer) it is written at the root and, where the inputs are there too, under "next".
+
+    Raises:
+        ValueError: when ``out_key`` is one of ``in_keys``.
     """
 
     def __init__(self, in_keys: Sequence[NestedKey], out_key: NestedKey) -> None:
         super().__init__(in_keys=list(in_keys), out_keys=[out_key])
+        if self.out_keys[0] in self.in_keys:
+            raise ValueError(f"out_key={out_key!r} is not allowed: it would replace an input")
+        self._vouched = False
+
+    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
+        """Refuse entries, or their specs, of another dtype or shape."""
+        raise NotImplementedError
 
     def compute(self, *inputs: Tensor) -> Tensor:
         """The feature of the entries named by ``in_keys``."""
@@ -32,21 +42,31 @@ class FeatureTransform(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         inputs = self._inputs(next_tensordict)
-        return next_tensordict.set(self.out_keys[0], self.compute(*inputs))
+        return next_tensordict.set(self.out_keys[0], self._checked(inputs, not self._vouched))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the feature into a TensorDict, at the root and under "next"."""
         following = tensordict.get("next", None)
         if following is not None and all(following.get(k, None) is not None for k in self.in_keys):
-            self._call_checked(following)
-        return self._call_checked(tensordict)
+            self._write(following)
+        return self._write(tensordict)
 
-    def _call_checked(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.check_values(*self._inputs(tensordict))
-        return self._call(tensordict)
+    def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
+        feature = self._checked(self._inputs(tensordict), values=True)
+        return tensordict.set(self.out_keys[0], feature)
+
+    def _checked(self, inputs: Sequence[Tensor], values: bool) -> Tensor:
+        self.check_kinds(*inputs)
+        if values:
+            self.check_values(*inputs)
+        return self.compute(*inputs)
 
     def check_values(self, *inputs: Tensor) -> None:
-        """Refuse values of data from elsewhere; on an environment its specs vouch for them."""
+        """Refuse values that cannot be."""
+
+    def vouch(self, *inputs: TensorSpec) -> bool:
+        """Whether the specs of an environment rule out all that ``check_values`` refuses."""
+        return True
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -56,34 +76,46 @@ class FeatureTransform(Transform):
         if flagged is None or flagged.all():
             return self._call(tensordict_reset)
         rows = flagged.reshape(tensordict_reset.shape).nonzero(as_tuple=True)
-        fresh = self.compute(*(entry[rows] for entry in self._inputs(tensordict_reset)))
+        inputs = [entry[rows] for entry in self._inputs(tensordict_reset)]
+        fresh = self._checked(inputs, not self._vouched)
         feature = fresh.new_zeros(*tensordict_reset.shape, *fresh.shape[1:])
         return tensordict_reset.set(self.out_keys[0], feature.index_put(rows, fresh))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the feature's spec to the observation spec."""
-        inputs = [observation_spec[key] for key in self.in_keys]
+        inputs = self._entries(observation_spec, "the observation spec of the environment")
+        self.check_kinds(*inputs)
+        self._vouched = self.vouch(*inputs)
         observation_spec[self.out_keys[0]] = self.feature_spec(*inputs)
         return observation_spec
 
     def _inputs(self, tensordict: TensorDictBase) -> list[Tensor]:
-        inputs = []
-        for key in self.in_keys:
-            entry = tensordict.get(key, None)
-            if entry is None:
-                present = sorted(map(str, tensordict.keys(True, True)))
-                raise KeyError(
-                    f"{type(self).__name__} needs the entry {key!r}, which is not in the "
-                    f"TensorDict; it holds {', '.join(present)}"
-                )
-            inputs.append(entry)
-        return inputs
+        return self._entries(tensordict, "the TensorDict")
 
-    def _require_cells(self, position: Tensor, robots: torch.Size) -> None:
-        """Positions must be int64 [*robots, 2]."""
-        if position.dtype != torch.int64 or position.shape != (*robots, 2):
-            raise ValueError(
-                f"{type(self).__name__}: {self.in_keys[-1]!r} must be int64 of shape "
-                f"{(*robots, 2)} (row, column), got {position.dtype} of shape "
-                f"{tuple(position.shape)}"
-            )
+    def _entries(self, holder: Any, name: str) -> list[Any]:
+        """The entries named by ``in_keys``, of a TensorDict or of a spec."""
+        entries = []
+        for key in self.in_keys:
+            entry = holder.get(key, None)
+            if entry is None or isinstance(entry, (TensorDictBase, Composite)):
+                what = "is not in" if entry is None else "is a group of entries in"
+                present = ", ".join(sorted(map(str, holder.keys(True, True)))) or "nothing"
+                raise KeyError(
+                    f"{type(self).__name__} needs the entry {key!r}, which {what} {name}; it "
+                    f"holds {present}"
+                )
+            entries.append(entry)
+        return entries
+
+    def _refuse(self, key: NestedKey, needed: str, entry: Tensor | TensorSpec) -> NoReturn:
+        raise ValueError(
+            f"{type(self).__name__}: {key!r} must be {needed}, got {entry.dtype} of shape "
+            f"{tuple(entry.shape)} on {entry.device}"
+        )
+
+
+def within(spec: TensorSpec, low: Tensor | int, high: Tensor | int) -> bool:
+    """Whether a spec's bounds are at least as tight as these."""
+    if not isinstance(spec, Bounded):
+        return False
+    return bool((spec.low >= low).all() and (spec.high <= high).all())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from tensordict import NestedKey
 from torch import Tensor
@@ -25,6 +23,7 @@ class CommunicationNeighbors(FeatureTransform):
 
     Raises:
         ValueError: for a negative range, or positions of another dtype or shape.
+        KeyError: when the entry is missing; it names those that are there.
     """
 
     def __init__(
@@ -33,14 +32,23 @@ class CommunicationNeighbors(FeatureTransform):
         out_key: NestedKey = ("agents", "observation", "net"),
         range_cells: float = 6.4,
     ) -> None:
-        if math.isnan(range_cells) or range_cells < 0:
-            raise ValueError(f"range_cells={range_cells!r} is not allowed: it must be at least 0")
+        if not isinstance(range_cells, (int, float)) or not range_cells >= 0:  # NaN too
+            raise ValueError(
+                f"range_cells={range_cells!r} is not allowed: it must be a number >= 0"
+            )
         super().__init__([position_key], out_key)
         self.range_cells = range_cells
 
+    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
+        """Positions must be int64 [*B, N, 2]."""
+        (position,) = inputs
+        if position.dtype != torch.int64 or position.ndim < 2 or position.shape[-1] != 2:
+            self._refuse(
+                self.in_keys[0], "int64 of shape [*B, N, 2] (row, column of every robot)", position
+            )
+
     def compute(self, position: Tensor) -> Tensor:  # type: ignore[override]
         """NET float32 [*B, N, N] of positions [*B, N, 2]."""
-        self._require_cells(position, position.shape[:-1])
         return in_range(position, self.range_cells).float()
 
     def feature_spec(self, position: TensorSpec) -> TensorSpec:
