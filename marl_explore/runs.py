@@ -28,8 +28,9 @@ from marl_explore.files import whole_file
 from marl_explore.loggers import require_logger
 from marl_explore.policies import Policy, save_policy
 from marl_explore.trainer import Trainer
-from marl_explore.training_run import carry_out, versions
+from marl_explore.training_run import carry_out
 from marl_explore.validation import Validation
+from marl_explore.versions import versions
 
 CONFIG_FILE, RECORD_FILE = "config.json", "run.json"
 

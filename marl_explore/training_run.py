@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import platform
 import sys
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +17,8 @@ from marl_explore.interrupts import Request, RunInterruptedError, deferred
 from marl_explore.loggers import Loggers
 from marl_explore.trainer import Trainer
 from marl_explore.validation import Validation
+from marl_explore.versions import versions
 from marl_explore.workers import WorkerError
-
-PACKAGES = ("marl-explore", "torch", "torchrl", "tensordict")
-
-
-def versions() -> dict[str, str]:
-    """Of Python and of the packages that results depend on."""
-    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
 
 
 def carry_out(trainer: Trainer, validation: Validation, progress: bool) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
+import re
 import subprocess
 import sys
 
 import pytest
+import torch
 
 import marl_explore
+from marl_explore.versions import versions
 
 
 def test_public_names_resolve():
@@ -22,7 +26,49 @@ def test_unknown_names_are_attribute_errors():
         _ = marl_explore.Explorer
 
 
-@pytest.mark.parametrize("module", ["marl_explore", "marl_explore.config", "marl_explore.cli"])
+LIGHT = ["marl_explore", "marl_explore.__main__", "marl_explore.config", "marl_explore.cli"]
+
+
+def command(*arguments):
+    """``python -m marl_explore``, with a note of what it imported in the last line."""
+    code = (
+        "import runpy, sys; sys.argv = ['marl_explore', *sys.argv[1:]]\n"
+        "try: runpy.run_module('marl_explore', run_name='__main__')\n"
+        "finally: print('torch' in sys.modules)"
+    )
+    run = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(run, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",)])
+def test_it_says_what_there_is_without_torch(arguments):
+    said = command(*arguments)
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.startswith("usage: python -m marl_explore")
+    for name in marl_explore.__all__:
+        assert name in said.stdout
+    for module in re.findall(r"marl_explore\.\w+", said.stdout):
+        assert importlib.util.find_spec(module), module
+    assert max(map(len, said.stdout.splitlines())) <= 100
+    assert said.stdout.splitlines()[-1] == "False"
+
+
+def test_versions_and_backend():
+    lines = command("--version").stdout.splitlines()[:-1]
+    found = dict(line.split(maxsplit=1) for line in lines)
+    assert found.pop("backend") == marl_explore.backend()
+    assert found == versions()
+    assert torch.__version__.startswith(found["torch"])
+    assert found["marl-explore"] == marl_explore.__version__
+
+
+def test_an_unknown_flag_is_refused():
+    said = command("--verison")
+    assert said.returncode == 2
+    assert "unrecognized arguments: --verison" in said.stderr
+
+
+@pytest.mark.parametrize("module", LIGHT)
 def test_light_modules_do_not_import_torch(module):
     code = f"import sys, {module}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

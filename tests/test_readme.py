@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import pkgutil
 import re
 import shlex
 import subprocess
@@ -11,19 +12,24 @@ from pathlib import Path
 
 import pytest
 
+import marl_explore
+
 ROOT = Path(__file__).parents[1]
 PAGES = (
     "README.md",
     "docs/adapters.md",
+    "docs/api.md",
     "docs/planners.md",
     "docs/replay.md",
     "docs/transforms.md",
 )
+GAP = re.compile(r"^ *\.\.\.", re.MULTILINE)
+"""A line that leaves something to the reader: such a block is not run."""
 BLOCKS = [
     (page, block)
     for page in PAGES
     for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
-    if "..." not in block
+    if not GAP.search(block)
 ]
 
 
@@ -35,6 +41,23 @@ def test_there_are_examples():
 def test_example(page, block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # examples may write files
     exec(compile(block, page, "exec"), {})
+
+
+API = re.split(r"^### ", (ROOT / "docs/api.md").read_text(), flags=re.MULTILINE)[1:]
+
+
+def test_every_public_name_has_an_example():
+    headed = {}
+    for entry in API:
+        heading, rest = entry.split("\n", 1)
+        (example,) = re.findall(r"```python\n(.*?)```", rest, re.DOTALL)
+        assert not GAP.search(example)
+        headed |= dict.fromkeys(re.findall(r"`([\w.]+)`", heading), example)
+    assert {*marl_explore.__all__} <= {*headed}
+    for name, example in headed.items():
+        assert pkgutil.resolve_name(f"marl_explore.{name}") is not None
+        module, _, attribute = name.rpartition(".")
+        assert module not in ("", "planners") or attribute in example
 
 
 SCALING = re.findall(r"```\n(.*?)```", (ROOT / "docs/scaling.md").read_text(), re.DOTALL)

@@ -1,0 +1,13 @@
+"""Versions of what results depend on; importing this imports neither torch nor torchrl."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+
+PACKAGES = ("marl-explore", "torch", "torchrl", "tensordict")
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that results depend on."""
+    return {"python": platform.python_version()} | {p: version(p) for p in PACKAGES}
