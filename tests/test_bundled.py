@@ -43,7 +43,7 @@ def test_a_bundled_policy_replays_to_what_is_recorded_with_it(run, tmp_path):
 def test_a_bundled_policy_says_where_it_comes_from(run, tmp_path):
     info = policy_info(bundle(run, "tiny", tmp_path))
     assert info["config"] == json.loads((run / "config.json").read_text())
-    assert info["run"]["starts"][0]["versions"]["torch"] == torch.__version__
+    assert torch.__version__.startswith(info["run"]["starts"][0]["versions"]["torch"])
     assert [frames for frames, _ in info["curves"]["entropy"]] == [20, 40]
     assert 0 < info["score"]["steps_to_100"] <= 301
 
