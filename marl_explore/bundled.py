@@ -43,32 +43,34 @@ def replay_score(policy: Policy, num_arenas: int = REPLAY_ARENAS) -> dict[str, l
     }
 
 
-def run_info(run: str | Path, policy: Policy | None = None) -> dict[str, Any]:
-    """What there is to tell of a finished run: configuration, record, curves, and a score.
-
-    Args:
-        run: its folder.
-        policy: whose measures on 200 test arenas are the score; None: the run's.
+def run_info(run: str | Path) -> dict[str, Any]:
+    """What there is to tell of a finished run: configuration, record and curves.
 
     Raises:
         ValueError: when the folder is no run, or the run is not finished.
     """
     run = Path(run)
-    how = _record_of_finished(run)
-    policy = policy or load_policy(run)
+    read_settings(run)  # refuses what is no run
+    how = json.loads((run / RECORD_FILE).read_text())
+    if not how.get("finished"):
+        raise ValueError(f"the run in {run} is not finished: go on with it first")
     return {
         "config": json.loads((run / CONFIG_FILE).read_text()),
         "run": how,
         "curves": {curve: _curve(run / "scalars" / f"{curve}.csv") for curve in CURVES},
-        "score": metrics.summarize(record(policy, policy.spec.arena, SCORE_ARENAS, STEPS)),
     }
+
+
+def score(policy: Policy) -> dict[str, float]:
+    """Every measure of a policy on 200 test arenas."""
+    return metrics.summarize(record(policy, policy.spec.arena, SCORE_ARENAS, STEPS))
 
 
 def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     """Make the policy of a finished run one that comes with the package, weights in float16.
 
-    Its file also holds the ``run_info`` and the ``replay_score`` of the weights as they are
-    shipped.
+    Its file also holds the ``run_info``, and the ``score`` and the ``replay_score`` of the weights
+    as they are shipped.
 
     Args:
         run: folder of a finished run.
@@ -78,25 +80,16 @@ def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     Raises:
         ValueError: when the folder is no run, or the run is not finished.
     """
-    _record_of_finished(Path(run))
+    info = run_info(run)
     policy = load_policy(run)
     policy.half().float()  # what a reader of the file gets
-    info = run_info(run, policy)
-    info["replay"] = replay_score(policy)
+    info |= {"score": score(policy), "replay": replay_score(policy)}
     return save_policy(policy.half(), Path(folder) / f"{name}.safetensors", info)
 
 
 def recorded_replay(name: str) -> dict[str, Any]:
     """The ``replay_score`` that a bundled policy was shipped with."""
     return policy_info(name)["replay"]
-
-
-def _record_of_finished(run: Path) -> dict[str, Any]:
-    read_settings(run)  # refuses what is no run
-    how: dict[str, Any] = json.loads((run / RECORD_FILE).read_text())
-    if not how.get("finished"):
-        raise ValueError(f"the run in {run} is not finished: go on with it first")
-    return how
 
 
 def _curve(path: Path) -> list[list[float]]:

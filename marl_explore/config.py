@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 TOLERANCE = 1e-9
 """Slack of every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
@@ -138,6 +139,13 @@ class ArenaConfig:
     def observation_size(self) -> int:
         """Numbers one robot's actor reads: FOV, FPR (8 x 3) and NET; 37 for the paper's arena."""
         return self.fov_size**2 + 24 + self.num_agents
+
+
+def from_json(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a configuration from what JSON made of its fields: an arena, and tuples."""
+    arena = ArenaConfig(**fields["arena"])
+    tuples = {name: tuple(value) for name, value in fields.items() if isinstance(value, list)}
+    return {**fields, **tuples, "arena": arena}
 
 
 Architecture = Literal["mlp", "cnn"]

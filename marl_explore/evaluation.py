@@ -16,7 +16,7 @@ from torchrl.envs import step_mdp
 from marl_explore import tables
 from marl_explore.arenas import Generator, default_steps
 from marl_explore.config import ArenaConfig, require_integer
-from marl_explore.core.mapping import known_mask, target_cells
+from marl_explore.core.mapping import known_mask, target_cells, union_of
 from marl_explore.env import ExplorationEnv
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
 from marl_explore.planners import PLANNERS
@@ -139,7 +139,7 @@ def _until_shared(episode: Iterator[TensorDictBase]) -> Iterator[TensorDictBase]
 def _measured(observation: TensorDictBase, shared: bool) -> Tensor:
     """The robots' maps [B, N, H, W]; of a reference that shares them, their union for each."""
     grid = observation["agents", "map"]
-    return grid.amax(-3, keepdim=True).expand_as(grid) if shared else grid
+    return union_of(grid).unsqueeze(-3).expand_as(grid) if shared else grid
 
 
 def record(

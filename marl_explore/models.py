@@ -67,7 +67,8 @@ def initialize(network: nn.Sequential, gain: float) -> nn.Sequential:
     return network
 
 
-def _concatenate(fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
+def in_a_row(fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
+    """The numbers of each observation [*B, (2k + 1)^2 + 24 + N]."""
     return torch.cat((fov.flatten(-2), fpr.flatten(-2), net), -1)
 
 
@@ -82,7 +83,7 @@ class MLPActor(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Logits [*B, 10]."""
-        return self.layers(_concatenate(fov, fpr, net)).float()
+        return self.layers(in_a_row(fov, fpr, net)).float()
 
 
 class MLPCritic(nn.Module):
@@ -96,7 +97,7 @@ class MLPCritic(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Value [*B, 1] from inputs with a robot axis."""
-        return self.layers(_concatenate(fov, fpr, net).flatten(-2)).float()
+        return self.layers(in_a_row(fov, fpr, net).flatten(-2)).float()
 
 
 class _Conv2d(nn.Conv2d):

@@ -20,7 +20,7 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from marl_explore.config import Ability, Architecture, ArenaConfig
+from marl_explore.config import Ability, Architecture, ArenaConfig, from_json
 from marl_explore.core.frontier import Normalization
 from marl_explore.files import whole_file
 from marl_explore.models import make_actor
@@ -157,10 +157,7 @@ def load_policy(path_or_name: str | Path) -> Policy:
             f"{metadata.get('format')!r}, expected {FORMAT!r}"
         )
     try:
-        fields = json.loads(metadata["spec"])
-        fields["arena"] = ArenaConfig(**fields["arena"])
-        fields |= {key: tuple(fields[key]) for key in ("hidden", "without") if key in fields}
-        spec = PolicySpec(**fields)
+        spec = PolicySpec(**from_json(json.loads(metadata["spec"])))
         policy = Policy(spec, spec.make_actors())
         policy.actors.load_state_dict(weights)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:

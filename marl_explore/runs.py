@@ -22,7 +22,7 @@ from marl_explore.checkpoint import (
     read_checkpoint,
     set_aside,
 )
-from marl_explore.config import ArenaConfig, TrainConfig
+from marl_explore.config import TrainConfig, from_json
 from marl_explore.execution import RunConfig
 from marl_explore.files import whole_file
 from marl_explore.loggers import require_logger
@@ -174,9 +174,7 @@ def read_settings(folder: Path) -> tuple[TrainConfig, RunConfig]:
         ValueError: when it is no run folder, or of another version of this package.
     """
     try:
-        fields = json.loads((folder / CONFIG_FILE).read_text())
-        fields["arena"] = ArenaConfig(**fields["arena"])
-        fields |= {key: tuple(fields[key]) for key in ("hidden", "without") if key in fields}
+        fields = from_json(json.loads((folder / CONFIG_FILE).read_text()))
         record = json.loads((folder / RECORD_FILE).read_text())
         return TrainConfig(**fields), RunConfig(**record["execution"])
     except OSError as error:

@@ -19,11 +19,11 @@ from marl_explore.core.frontier import Normalization
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.rewards import Reward
 from marl_explore.make import make_env
+from marl_explore.models import OBSERVATION_KEYS, in_a_row
 
 RenderMode = Literal["rgb_array", "ansi"]
 _RENDER_MODES: tuple[RenderMode, ...] = get_args(RenderMode)
 Observation = dict[str, NDArray[Any]]
-_FEATURES = ("fov", "fpr", "net")
 _START = ("obstacles", "positions")
 
 
@@ -114,8 +114,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         self.state_space = spaces.Box(-1, 1, ((1 + robots) * cells + 2 * robots,), np.float32)
 
     def _observed_space(self) -> spaces.Dict:
-        specs = [self._env.observation_spec["agents", "observation", key] for key in _FEATURES]
-        high = torch.cat([spec.high[0, 0].flatten() for spec in specs]).numpy()
+        specs = (self._env.observation_spec[key] for key in OBSERVATION_KEYS)
+        high = in_a_row(*(spec.high[0, 0] for spec in specs)).numpy()
         numbers = spaces.Box(np.zeros_like(high), high)
         return spaces.Dict(observation=numbers, action_mask=spaces.MultiBinary(NUM_ACTIONS))
 
@@ -225,9 +225,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         return TensorDict({"obstacles": obstacles, "agents": agents}, batch_size=[1])
 
     def _observations(self) -> dict[str, Observation]:
-        agents = self._current["agents"]
-        features = [agents["observation", key][0].flatten(1) for key in _FEATURES]
-        numbers, masks = torch.cat(features, -1).numpy(), self._masks()
+        numbers = in_a_row(*(self._current[key][0] for key in OBSERVATION_KEYS)).numpy()
+        masks = self._masks()
         return {
             agent: {"observation": numbers[i], "action_mask": masks[i]}
             for i, agent in enumerate(self.agents)

@@ -8,16 +8,12 @@ from PIL import ImageColor
 from torch import Tensor
 
 from marl_explore.core.grid import UNKNOWN
+from marl_explore.core.mapping import union_of
 from marl_explore.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
 
 SIDE = 16
 """Pixels of a cell's side."""
 _SYMBOLS = "?.#"
-
-
-def merged_map(maps: Tensor) -> NDArray[np.int8]:
-    """The union of all robots' maps, int8 [H, W], of maps int8 [N, H, W]."""
-    return maps.amax(0).numpy()  # unknown is the lowest code, and known cells agree
 
 
 def ascii_picture(maps: Tensor, position: Tensor) -> str:
@@ -27,7 +23,7 @@ def ascii_picture(maps: Tensor, position: Tensor) -> str:
         maps: int8 [N, H, W].
         position: int64 [N, 2].
     """
-    rows = [[_SYMBOLS[code - UNKNOWN] for code in row] for row in merged_map(maps).tolist()]
+    rows = [[_SYMBOLS[code - UNKNOWN] for code in row] for row in union_of(maps).tolist()]
     for robot, (row, column) in enumerate(position.tolist()):
         rows[row][column] = str(robot % 10)
     return "\n".join(map("".join, rows))
@@ -41,7 +37,7 @@ def rgb_picture(maps: Tensor, position: Tensor) -> NDArray[np.uint8]:
         position: int64 [N, 2].
     """
     shades = np.array(list(map(ImageColor.getrgb, (UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR))))
-    cells = shades[merged_map(maps) - UNKNOWN].astype(np.uint8)
+    cells = shades[union_of(maps).numpy() - UNKNOWN].astype(np.uint8)
     picture = cells.repeat(SIDE, 0).repeat(SIDE, 1)
     edge = SIDE // 4
     for robot, (row, column) in enumerate(position.tolist()):

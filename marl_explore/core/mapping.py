@@ -128,6 +128,11 @@ def merge(known: Tensor, network: Tensor) -> Tensor:
     return (sources @ known.flatten(-2)).clamp_max_(1).view(known.shape)
 
 
+def union_of(grid: Tensor) -> Tensor:
+    """What a team knows together, int8 [*B, H, W], of its maps [*B, N, H, W]."""
+    return grid.amax(-3)  # unknown is the lowest code, and known cells agree
+
+
 def draw(known: Tensor, obstacles: Tensor) -> Tensor:
     """The maps of robots that know some cells: a map says the truth, or nothing.
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from marl_explore.config import ArenaConfig
 from marl_explore.core.frontier import nearest_frontier
 from marl_explore.core.grid import OCCUPIED, STAY, UNKNOWN
-from marl_explore.core.mapping import known_mask, target_cells
+from marl_explore.core.mapping import known_mask, target_cells, union_of
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import never
@@ -41,7 +41,7 @@ class Central(Planner):
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """Every robot's part of the joint plan, int64 [*B, N]."""
         grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
-        union = grid.amax(-3)  # unknown is the lowest code
+        union = union_of(grid)
         move = torch.full_like(position[..., 0], STAY)
         obstacles = self.obstacles(tensordict, union)
         unknown = (union == UNKNOWN) & target_cells(obstacles, position)
@@ -79,6 +79,6 @@ def counting_bound(config: ArenaConfig, start: TensorDictBase) -> Tensor:
         int64 [B] (steps).
     """
     target = target_cells(start["obstacles"], start["agents", "position"])
-    union = known_mask(start["agents", "map"]).amax(-3)
+    union = known_mask(union_of(start["agents", "map"]))
     missing = (target.float() * (1 - union)).flatten(-2).sum(-1)
     return (missing / (config.num_agents * config.max_discovery)).ceil().long()
