@@ -38,9 +38,9 @@ class FactorWatch:
             return
         self._warned = True
         logger.warning(
-            "update %d: HAPPO's factor leaves an effective sample size of %.0f %% of the batch, less "
-            "than %.0f %%: actors late in the order learn from few samples. Smaller steps, fewer "
-            "passes or a narrower clipping range help (said once per run)",
+            "update %d: HAPPO's factor leaves an effective sample size of %.0f %% of the batch, "
+            "less than %.0f %%: actors late in the order learn from few samples. Smaller steps, "
+            "fewer passes or a narrower clipping range help (said once per run)",
             update,
             100 * share,
             100 * ESS_WARNING,
