@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -107,8 +106,7 @@ def run(task: Task, package: str, extra: str) -> None:
     Raises:
         ValueError: saying how to install the package when it is missing.
     """
-    if find_spec(package) is None:
-        raise ValueError(f'this recipe needs {package}: pip install "marl-explore[{extra}]"')
+    cli.require_package(package, f'pip install "marl-explore[{extra}]"')
     compare(task.make_env, task.max_steps, task.train)
 
 

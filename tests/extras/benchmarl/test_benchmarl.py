@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -15,9 +20,11 @@ from benchmarl.models import GruConfig, MlpConfig
 from torch import nn
 
 from marl_explore import ArenaConfig
+from marl_explore.tables import number
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # BenchMARL's and VMAS's own
 
+ROOT = Path(__file__).parents[3]
 SMALL = ArenaConfig(height=6, width=6, num_agents=3)
 
 
@@ -214,3 +221,23 @@ def test_wrong_arguments_are_named(tmp_path):
     recurrent = GruConfig.get_from_yaml()
     with pytest.raises(ValueError, match="model_config=.*is recurrent"):
         experiment(task(), HappoConfig.get_from_yaml(), tmp_path, model=recurrent)
+
+
+def test_the_recipe_prints_and_keeps_returns(tmp_path):
+    out = tmp_path / "out"
+    options = "--algorithms qmix happo --iterations 2 --out".split()
+    command = [sys.executable, str(ROOT / "recipes" / "benchmarl_exploration.py"), *options, out]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    returns = json.loads((out / "run.json").read_text())["returns"]
+    assert [*returns] == ["qmix", "happo"]
+    rows = [
+        line.split() for line in done.stdout.splitlines() if line.split()[:1] != ["BenchMARL's"]
+    ]
+    shown = {row[0]: row[1:3] for row in rows}
+    for name, curve in returns.items():
+        assert len(curve) == 2
+        assert shown[name] == [number(value) for value in curve]
+    again = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert again.returncode == 1
+    assert again.stderr.splitlines()[-1].startswith("error: output folder")
