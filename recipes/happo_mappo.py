@@ -134,11 +134,13 @@ def compare(make_env: Callable[[int], EnvBase], max_steps: int, settings: Settin
             for frames, metrics in learner.run():
                 logger.log(metrics | {"seconds": time.perf_counter() - start}, frames)
             print(f"{name}, seed {seed}: {time.perf_counter() - start:.0f} s", flush=True)
-    training_figure(runs, folder / "curves.png", {"episode_return": "return of an episode"})
+    curves = {name.upper(): folders for name, folders in runs.items()}
+    measures = {"episode_return": "return of an episode"}
+    training_figure(curves, folder / "curves.png", measures, steps="steps of single environments")
     summary = {name: summarize_seeds(folder / name, seeds) for name in ALGORITHMS}
     write_json(folder / "summary.json", summary)
-    for name, measures in summary.items():
-        row = measures["episode_return"]
+    for name, over_seeds in summary.items():
+        row = over_seeds["episode_return"]
         print(f"{name}: return {row['mean']:.2f} [{row['low']:.2f}, {row['high']:.2f}]")
     print(f"runs, curves and every metric: {folder}")
     return folder
