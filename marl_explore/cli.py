@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -114,3 +115,13 @@ def main(parse: Callable[[], Arguments], run: Callable[[Arguments], None]) -> No
         sys.exit(interrupted.status)
     except KeyboardInterrupt:
         sys.exit("interrupted")
+
+
+def require_package(name: str, install: str) -> None:
+    """Refuse to go on without a package.
+
+    Raises:
+        ValueError: saying how to install it.
+    """
+    if find_spec(name) is None:
+        raise ValueError(f"this recipe needs {name}: {install}")

@@ -17,6 +17,7 @@ from torchrl.modules import PopArtValueNorm
 from marl_explore.collect import make_collector, require_collector
 from marl_explore.config import TrainConfig
 from marl_explore.execution import RunConfig
+from marl_explore.factor import FactorWatch, factor_statistics
 from marl_explore.finite import require_finite, require_finite_batch
 from marl_explore.happo import HAPPOLoss
 from marl_explore.make import make_env
@@ -94,6 +95,7 @@ class Trainer:
             for network in (*self.policy.actors, critic.module):
                 network.compile()
         self.generator = torch.Generator().manual_seed(config.seed)
+        self.factor_watch = FactorWatch()
         self.updates, self.seconds = 0, 0.0
         self.rollouts = Rollouts(
             partial(
@@ -218,12 +220,9 @@ class Trainer:
         for scheduler in self.schedulers:
             scheduler.step()
         require_finite(self.loss.state_dict().items(), self.updates + 1, "after the update")
-        factor = batch.get("factor", torch.ones(1))  # one robot has none
-        return {key: sum(values) / len(values) for key, values in logs.items()} | {
-            "factor_min": float(factor.min()),
-            "factor_max": float(factor.max()),
-            "factor_ess": float(factor.sum() ** 2 / factor.square().sum() / factor.numel()),
-        }
+        factor = factor_statistics(batch.get("factor", torch.ones(1)))  # one robot has none
+        self.factor_watch(factor["factor_ess"], self.updates + 1)
+        return {key: sum(values) / len(values) for key, values in logs.items()} | factor
 
     def _minibatches(
         self, batch: TensorDictBase, keys: list[NestedKey]

@@ -110,8 +110,10 @@ def test_training_figure_draws_the_mean_over_seeds_and_its_interval(drawn, tmp_p
         a_run(tmp_path / "0", reward=[(100, 1), (200, 2), (300, 3)]),
         a_run(tmp_path / "1", reward=[(100, 5), (200, math.nan), (300, 9), (400, 100)]),
     ]
-    plots.training_figure({"both": runs, "one": runs[:1]}, "unused", {"reward": "reward"})
+    measures = {"reward": "reward"}
+    plots.training_figure({"both": runs, "one": runs[:1]}, "unused", measures, steps="frames")
     axes = drawn[0].axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frames", "reward")
     # between 5 and 9 the second seed is interpolated; what the first has not reached is left out
     assert line(axes, "both") == ([100, 200, 300], [3, 4.5, 6])
     assert shaded(axes)[200] == (2, 7)  # one draw in four has one seed twice

@@ -19,6 +19,7 @@ PAGES = (
     "README.md",
     "docs/adapters.md",
     "docs/api.md",
+    "docs/happo.md",
     "docs/planners.md",
     "docs/replay.md",
     "docs/transforms.md",

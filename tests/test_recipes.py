@@ -264,6 +264,9 @@ def test_map_files_become_a_buffer_with_features(tmp_path):
         "minimal_happo.py",
         "pettingzoo_torchrl.py",
         "foreign_maps.py",
+        "happo_vmas.py",
+        "happo_pettingzoo.py",
+        "benchmarl_exploration.py",
     ],
 )
 def test_help(name):
@@ -296,6 +299,8 @@ def test_help(name):
         (["leaderboard.py", "nobody"], "no policy 'nobody'"),
         (["leaderboard.py", "random", "--suites", "rooms"], "arenas='rooms' is no suite"),
         (["leaderboard.py", "random", "--num-arenas", "0"], "num_arenas=0"),
+        (["benchmarl_exploration.py"], "needs benchmarl: docs/happo.md"),
+        (["benchmarl_exploration.py", "--iterations", "0"], "iterations=0"),
         (["train.py", "fast", "--threads", "0"], "threads=0"),
         (["train.py", "fast", "--workers", "2"], "workers=2 is not allowed with collector='pr"),
         (["train.py", "fast", "--collector", "multisync", "--workers", "5"], "workers=5"),

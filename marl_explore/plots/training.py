@@ -26,6 +26,7 @@ def training_figure(
     runs: Mapping[str, Sequence[str | Path]],
     path: str | Path,
     measures: Mapping[str, str] = MEASURES,
+    steps: str = "steps of single arenas",
 ) -> Path:
     """Training curves: mean over seeds, with its 95 % bootstrap interval shaded.
 
@@ -33,6 +34,7 @@ def training_figure(
         runs: per name the run folders of its seeds; with one seed nothing is shaded.
         path: image file to write.
         measures: names of docs/metrics.md ("Training") and the labels of their panels.
+        steps: label of the horizontal axis.
 
     Raises:
         ValueError: when a run folder has no such measure.
@@ -44,7 +46,7 @@ def training_figure(
             for name, style in line_styles(runs):
                 frames, curves = _curves(runs[name], measure)
                 draw_band(axes, frames, curve_interval(curves), style)
-            axes.set(xlabel="steps of single arenas", ylabel=label)
+            axes.set(xlabel=steps, ylabel=label)
             axes.xaxis.set_major_locator(MaxNLocator(5))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M
             axes.grid(alpha=0.25)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -10,14 +15,16 @@ from marl_explore.adapters.benchmarl import ExplorationTask, HappoConfig  # isor
 
 from benchmarl.algorithms import IppoConfig, MappoConfig, QmixConfig
 from benchmarl.environments import VmasTask
-from benchmarl.experiment import Experiment, ExperimentConfig
-from benchmarl.models.mlp import MlpConfig
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig
+from benchmarl.models import GruConfig, MlpConfig
 from torch import nn
 
 from marl_explore import ArenaConfig
+from marl_explore.tables import number
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # BenchMARL's and VMAS's own
 
+ROOT = Path(__file__).parents[3]
 SMALL = ArenaConfig(height=6, width=6, num_agents=3)
 
 
@@ -25,7 +32,22 @@ def task(**config):
     return ExplorationTask({"config": SMALL, "max_steps": 20, "reward": "team", **config})
 
 
-def experiment(task, algorithm, folder, **changes):
+class Recorder(Callback):
+    """Keeps what every update gives BenchMARL to log."""
+
+    def __init__(self):
+        super().__init__()
+        self.updates = []
+
+    def on_train_end(self, training_td, group):
+        self.updates.append((group, training_td))
+
+
+def network():
+    return MlpConfig(num_cells=[16], activation_class=nn.Tanh, layer_class=nn.Linear)
+
+
+def experiment(task, algorithm, folder, callbacks=(), model=None, **changes):
     """A small experiment, not yet run."""
     config = ExperimentConfig.get_from_yaml()
     settings = {
@@ -49,15 +71,33 @@ def experiment(task, algorithm, folder, **changes):
     for name, value in (settings | changes).items():
         assert hasattr(config, name), name
         setattr(config, name, value)
-    network = MlpConfig(num_cells=[16], activation_class=nn.Tanh, layer_class=nn.Linear)
     return Experiment(
         task=task,
         algorithm_config=algorithm,
-        model_config=network,
-        critic_model_config=network,
+        model_config=model or network(),
+        critic_model_config=network(),
         seed=0,
         config=config,
+        callbacks=[*callbacks],
     )
+
+
+def assert_learns(task, algorithm, folder, **changes):
+    """Every loss is finite, and every parameter of every group moves and stays finite."""
+    recorder = Recorder()
+    run = experiment(task, algorithm, folder, callbacks=[recorder], **changes)
+    before = {group: weights(loss) for group, loss in run.losses.items()}
+    policies = weights(run.policy)
+    run.run()
+    assert [group for group, _ in recorder.updates] == [*run.losses] * 2
+    for _, logged in recorder.updates:
+        assert any(key.startswith("loss") for key in logged.keys())  # noqa: SIM118
+        assert all(value.isfinite().all() for value in logged.values())
+    assert unmoved(run.policy, policies) == []
+    for group, loss in run.losses.items():
+        moving = [name for name in before[group] if "target" not in name]
+        assert not set(moving) & set(unmoved(loss, before[group]))
+    return run, [logged for _, logged in recorder.updates]
 
 
 def weights(module):
@@ -72,20 +112,71 @@ def unmoved(module, before):
 
 @pytest.mark.parametrize("algorithm", [MappoConfig, IppoConfig, QmixConfig, HappoConfig])
 def test_algorithms_train_on_the_exploration_task(tmp_path, algorithm):
-    run = experiment(task(), algorithm.get_from_yaml(), tmp_path)
-    before = weights(run.policy)
-    run.run()
+    run, _ = assert_learns(task(), algorithm.get_from_yaml(), tmp_path)
     assert run.total_frames == 400
-    assert unmoved(run.policy, before) == []
 
 
-def test_happo_trains_continuous_actions_and_its_shared_critic(tmp_path):
+def test_happo_trains_continuous_actions(tmp_path):
+    run, _ = assert_learns(VmasTask.BALANCE.get_from_yaml(), HappoConfig.get_from_yaml(), tmp_path)
+    assert run.continuous_actions
+    assert len(run.losses["agents"].names) == 4
+
+
+def test_happo_trains_groups_apart_with_discrete_actions(tmp_path):
+    run, _ = assert_learns(
+        VmasTask.SIMPLE_TAG.get_from_yaml(),
+        HappoConfig.get_from_yaml(),
+        tmp_path,
+        prefer_continuous_actions=False,
+    )
+    assert not run.continuous_actions
+    assert set(run.losses) == {"adversary", "agent"}
+
+
+def test_what_happo_logs(tmp_path):
+    _, updates = assert_learns(task(), HappoConfig.get_from_yaml(), tmp_path)
+    actors = {"loss_objective", "entropy", "kl_approx", "clip_fraction"}
+    factor = {f"factor_{name}" for name in ("mean", "min", "max", "ess")}
+    critic = {"loss_critic", "explained_variance", "grad_norm_loss_critic"}
+    for logged in updates:
+        assert set(logged.keys()) == actors | factor | critic
+        assert (logged["factor_min"] > 0).all()
+        assert (logged["factor_min"] < logged["factor_mean"]).all()
+        assert (logged["factor_mean"] < logged["factor_max"]).all()
+        assert (logged["factor_ess"] > 0).all()
+        assert (logged["factor_ess"] < 1).all()
+
+
+def test_happo_is_evaluated_and_goes_on_from_a_checkpoint(tmp_path):
+    options = {"evaluation": True, "evaluation_interval": 200, "evaluation_episodes": 3}
+    first = experiment(
+        task(),
+        HappoConfig.get_from_yaml(),
+        tmp_path,
+        loggers=["csv"],
+        checkpoint_at_end=True,
+        **options,
+    )
+    first.run()
+    (measured,) = tmp_path.rglob("eval_reward_episode_reward_mean.csv")
+    assert len(measured.read_text().splitlines()) == 2
+    (checkpoint,) = tmp_path.rglob("checkpoint_*.pt")
+    second = Experiment.reload_from_file(str(checkpoint))
+    assert second.n_iters_performed == 2
+    for name, parameter in weights(first.policy).items():
+        assert parameter.equal(weights(second.policy)[name])
+
+
+def test_a_team_s_reward_is_its_mean_and_its_end_the_environment_s(tmp_path):
     run = experiment(VmasTask.BALANCE.get_from_yaml(), HappoConfig.get_from_yaml(), tmp_path)
-    loss = run.losses["agents"]
-    before = weights(loss)
-    run.run()
-    assert len(loss.names) == 4
-    assert unmoved(loss, before) == []
+    batch = next(iter(run.collector))
+    after = batch["next"]
+    after["agents", "reward"] = torch.rand(*batch.shape, 4, 1)
+    after["agents", "done"] = torch.ones(*batch.shape, 4, 1, dtype=torch.bool)
+    ended = after["done"].clone()
+    run.algorithm.process_batch("agents", batch)
+    torch.testing.assert_close(after["reward"], after["agents", "reward"].mean(-2))
+    assert torch.equal(after["done"], ended)
 
 
 def test_actors_are_updated_one_after_the_other(tmp_path, monkeypatch):
@@ -121,7 +212,32 @@ def test_wrong_arguments_are_named(tmp_path):
         task(max_steps=0)
     with pytest.raises(ValueError, match="height=0"):
         ExplorationTask({"config": {"height": 0}})
-    algorithm = HappoConfig.get_from_yaml()
-    algorithm.share_param_critic = False
-    with pytest.raises(ValueError, match="share_param_critic=False"):
-        experiment(task(), algorithm, tmp_path)
+    wrong = {"share_param_critic": False, "critic_coef": 0.5, "loss_critic_type": "l1"}
+    for name, value in (wrong | {"minibatch_advantage": True}).items():
+        algorithm = HappoConfig.get_from_yaml()
+        setattr(algorithm, name, value)
+        with pytest.raises(ValueError, match=f"{name}={value!r} is not allowed"):
+            experiment(task(), algorithm, tmp_path)
+    recurrent = GruConfig.get_from_yaml()
+    with pytest.raises(ValueError, match="model_config=.*is recurrent"):
+        experiment(task(), HappoConfig.get_from_yaml(), tmp_path, model=recurrent)
+
+
+def test_the_recipe_prints_and_keeps_returns(tmp_path):
+    out = tmp_path / "out"
+    options = "--algorithms qmix happo --iterations 2 --out".split()
+    command = [sys.executable, str(ROOT / "recipes" / "benchmarl_exploration.py"), *options, out]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    returns = json.loads((out / "run.json").read_text())["returns"]
+    assert [*returns] == ["qmix", "happo"]
+    rows = [
+        line.split() for line in done.stdout.splitlines() if line.split()[:1] != ["BenchMARL's"]
+    ]
+    shown = {row[0]: row[1:3] for row in rows}
+    for name, curve in returns.items():
+        assert len(curve) == 2
+        assert shown[name] == [number(value) for value in curve]
+    again = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert again.returncode == 1
+    assert again.stderr.splitlines()[-1].startswith("error: output folder")

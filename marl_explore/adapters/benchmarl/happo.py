@@ -1,0 +1,203 @@
+"""HAPPO as a BenchMARL algorithm."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from benchmarl.algorithms import Mappo, MappoConfig
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import nn
+from torchrl.data import Composite
+from torchrl.objectives import LossModule
+
+from marl_explore.factor import FactorWatch, factor_statistics
+from marl_explore.happo import HAPPOLoss
+
+LOGGED = ("loss_objective", "entropy", "kl_approx", "clip_fraction")
+"""What is logged of the actors, in the mean over them."""
+
+ONLY = {
+    "share_param_critic": True,
+    "critic_coef": 1.0,
+    "loss_critic_type": "l2",
+    "minibatch_advantage": False,
+}
+"""Settings of MAPPO that have one value in HAPPO."""
+
+
+class Team(TensorDictModuleBase):
+    """The actors of a group, each with parameters of its own, as the group's policy.
+
+    Args:
+        group: name of the group, entries [*B, n, ...].
+        actors: a probabilistic actor per agent, of a group of its own, entries [*B, 1, ...].
+    """
+
+    def __init__(self, group: str, actors: Mapping[str, TensorDictModuleBase]) -> None:
+        super().__init__()
+        self.group = group
+        self.actors = nn.ModuleDict(actors)
+        first = next(iter(actors.values()))
+        self.in_keys = [(group, *key[1:]) for key in first.in_keys]
+        self.out_keys = [(group, "action"), (group, "log_prob")]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the group's actions and their log-probabilities."""
+        apart = self.split(tensordict, self.in_keys)
+        for actor in self.actors.values():
+            actor(apart)
+        for *_, entry in self.out_keys:
+            together = torch.cat([apart[name, entry] for name in self.actors], tensordict.ndim)
+            tensordict.set((self.group, entry), together)
+        return tensordict
+
+    def split(self, tensordict: TensorDictBase, keys: Iterable[Any]) -> TensorDict:
+        """Entries of the group, [*B, n, ...], as those of its agents' groups, [*B, 1, ...] each."""
+        parts: dict[str, dict[str, torch.Tensor]] = {name: {} for name in self.actors}
+        for key in keys:
+            slices = tensordict.get(key).split(1, tensordict.ndim)
+            for name, part in zip(parts, slices, strict=True):
+                parts[name][key[1:] if len(key) > 2 else key[1]] = part
+        return TensorDict(parts, batch_size=tensordict.batch_size, device=tensordict.device)
+
+
+class CriticLast(HAPPOLoss):
+    """HAPPO's losses, of which BenchMARL's own loop sees the critic's: the actors are done then."""
+
+    def __init__(self, *parts: Any, **options: Any) -> None:
+        super().__init__(*parts, **options)
+        self.reports: dict[str, float] = {}  # of the actors' last update, for BenchMARL's logs
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The critic's loss, and what is to be logged of the actors."""
+        return self.critic_loss(tensordict).update(self.reports)
+
+
+class Happo(Mappo):
+    """HAPPO for any BenchMARL task: one actor per agent, updated one after the other.
+
+    ``process_batch`` estimates advantages and updates the actors, with the experiment's learning
+    rate, epochs, minibatches and gradient clipping; BenchMARL's loop then trains the critic, which
+    is shared. The agents of a group get the mean of their rewards. The factor lives within a group.
+
+    Raises:
+        ValueError: for settings of MAPPO that HAPPO has not, and for recurrent models.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        for name, only in ONLY.items():
+            if options[name] != only:
+                raise ValueError(f"{name}={options[name]!r} is not allowed: HAPPO has {only!r}")
+        if self.has_rnn:
+            raise ValueError(f"model_config={self.model_config} is not allowed: it is recurrent")
+        self._optimizers: dict[str, torch.optim.Optimizer] = {}
+        self._watch = FactorWatch()
+
+    def _get_policy_for_loss(self, group: str, model_config: Any, continuous: bool) -> Team:
+        actors = {}
+        for i, agent in enumerate(self.group_map[group]):
+            name = f"{group}_{i}"
+            alone = copy.copy(self)
+            alone.group_map = {name: [agent]}
+            for kind in ("observation_spec", "action_spec", "action_mask_spec"):
+                spec = getattr(self, kind)
+                if spec is not None:
+                    setattr(alone, kind, Composite({name: spec[group][i : i + 1]}))
+            actors[name] = Mappo._get_policy_for_loss(alone, name, model_config, continuous)
+        return Team(group, actors)
+
+    def _get_loss(
+        self, group: str, policy_for_loss: Team, continuous: bool
+    ) -> tuple[LossModule, bool]:
+        critic: TensorDictModule = self.get_critic(group)[0]  # the value is the team's
+        loss = CriticLast(
+            dict(policy_for_loss.actors.items()),
+            critic,
+            clip_epsilon=self.clip_epsilon,
+            entropy_coeff=self.entropy_coef,
+        )
+        for name in loss.names:
+            stock: Any = loss.actor_losses[name]
+            stock.set_keys(action=(name, "action"), sample_log_prob=(name, "log_prob"))
+        loss.make_value_estimator(gamma=self.experiment_config.gamma, lmbda=self.lmbda)
+        return loss, False
+
+    def _get_parameters(self, group: str, loss: Any) -> dict[str, list[nn.Parameter]]:
+        return {"loss_critic": list(loss.critic.parameters())}
+
+    def process_batch(self, group: str, batch: TensorDictBase) -> TensorDictBase:
+        """Estimate advantages, and update the group's actors one after the other."""
+        _share_reward(group, batch)
+        loss: Any = self.get_loss_and_updater(group)[0]
+        team = self.get_policy_for_loss(group)
+        loss.estimate_advantage(batch)
+        flat = batch.reshape(-1)
+        data = team.split(flat, [*team.in_keys, *team.out_keys])
+        data.set("advantage", flat.get("advantage"))
+        reports, order = [], loss.update_order()
+        for name in order:
+            reports.append(self._update(loss, name, data))
+            if name != order[-1]:
+                loss.update_factor(data, name)
+        factor = factor_statistics(data.get("factor", torch.ones(1)))  # one agent has none
+        self._watch(factor["factor_ess"], self.experiment.n_iters_performed + 1)
+        loss.reports = {key: sum(r[key] for r in reports) / len(reports) for key in LOGGED} | factor
+        return batch
+
+    def process_loss_vals(self, group: str, loss_vals: TensorDictBase) -> TensorDictBase:
+        """Nothing: the only loss left is the critic's."""
+        return loss_vals
+
+    def _update(self, loss: HAPPOLoss, name: str, data: TensorDictBase) -> dict[str, float]:
+        """All passes of an actor; what is logged, of the last minibatch."""
+        config = self.experiment_config
+        if name not in self._optimizers:
+            self._optimizers[name] = torch.optim.Adam(
+                loss.actor_losses[name].parameters(),
+                lr=config.lr,
+                eps=config.adam_eps,
+                **config.adam_extra_kwargs,
+            )
+        optimizer = self._optimizers[name]
+        size = config.train_minibatch_size(self.on_policy)
+        for _ in range(config.n_optimizer_steps(self.on_policy)):
+            for rows in torch.randperm(len(data), device=data.device).split(size):
+                losses = loss.actor_loss(data[rows], name)
+                optimizer.zero_grad()
+                (losses["loss_objective"] + losses["loss_entropy"]).backward()
+                self.experiment._grad_clip(optimizer)
+                optimizer.step()
+        return {key: losses[key].item() for key in LOGGED}
+
+
+def _share_reward(group: str, batch: TensorDictBase) -> None:
+    """The team's entries, without an agent axis, where the task has them per agent only."""
+    after = batch.get("next")
+    reward = after.get((group, "reward"), None)
+    if reward is not None:
+        after.set("reward", reward.mean(-2))
+    for key in ("done", "terminated"):
+        if after.get(key, None) is None:
+            after.set(key, after.get((group, key)).any(-2))
+
+
+@dataclass
+class HappoConfig(MappoConfig):
+    """Settings of HAPPO: those of MAPPO, whose values are the defaults."""
+
+    @staticmethod
+    def associated_class() -> type[Happo]:
+        """The algorithm."""
+        return Happo
+
+    @classmethod
+    def get_from_yaml(cls, path: str | None = None) -> HappoConfig:
+        """BenchMARL's settings of MAPPO, or those of a file."""
+        theirs = MappoConfig.get_from_yaml(path)
+        return cls(**{field.name: getattr(theirs, field.name) for field in fields(theirs)})

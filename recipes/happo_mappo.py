@@ -1,0 +1,258 @@
+"""HAPPO and TorchRL's MAPPO on any environment: what happo_vmas.py and happo_pettingzoo.py share.
+
+The environment has a group per agent (``MarlGroupMapType.ONE_GROUP_PER_AGENT``), each with its own
+"observation", "action" (discrete or continuous) and "reward"; the team gets the mean reward. Both
+algorithms start from the same weights, and share batches' sizes, advantages and the critic's
+update. What differs is the actors' update: one after the other with the factor between them
+(``HAPPOLoss``), or all on every minibatch without it (``MAPPOLoss``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+import tyro
+from fitting_networks import make_actor, make_critic
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import Tensor, nn
+from torchrl.collectors import Collector
+from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
+from torchrl.modules import PopArtValueNorm
+from torchrl.objectives.multiagent import MAPPOLoss
+
+from marl_explore import HAPPOLoss, cli
+from marl_explore.config import require_integer
+from marl_explore.execution import parse_seeds
+from marl_explore.factor import FactorWatch, factor_statistics
+from marl_explore.finite import require_finite_batch
+from marl_explore.loggers import Loggers
+from marl_explore.plots import training_figure
+from marl_explore.runs import new_folder, provenance, write_json
+from marl_explore.sweeps import summarize_seeds
+
+ALGORITHMS = ("happo", "mappo")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What both algorithms are trained with."""
+
+    updates: int = 50
+    """Updates of every network, on a batch each."""
+    frames: int = 2000
+    """Steps of single environments in a batch."""
+    minibatches: int = 1
+    """Parts of a batch, a gradient step each."""
+    epochs: int = 5
+    """Passes over a batch."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers of every network."""
+    lr: float = 5e-4
+    """Adam's step size."""
+    gamma: float = 0.99
+    """Discount per step."""
+    lmbda: float = 0.95
+    """Lambda of GAE."""
+    clip_epsilon: float = 0.2
+    """Half width of the ratio's clipping range."""
+    entropy_coeff: float = 0.01
+    """Weight of the entropy bonus."""
+    max_grad_norm: float = 10.0
+    """Largest norm of a network's gradient."""
+    seeds: str = "0-2"
+    """Seeds of both algorithms: 0-2 or 0,3."""
+    out: Path | None = None
+    """New folder for the runs; default: runs/ and the time."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("updates", "frames", "minibatches", "epochs"):
+            require_integer(name, getattr(self, name), 1)
+        parse_seeds(self.seeds)
+
+
+class Task(Protocol):
+    """What a recipe's command line gives."""
+
+    @property
+    def max_steps(self) -> int:
+        """Steps after which an episode is truncated."""
+
+    @property
+    def train(self) -> Settings:
+        """How it is learned."""
+
+    def make_env(self, seed: int) -> EnvBase:
+        """The environment, a group per agent."""
+
+
+def main(kind: type[Task], about: str | None, package: str, extra: str) -> None:
+    """A recipe's program: read its command line, train, draw and print."""
+    cli.main(
+        lambda: tyro.cli(kind, description=about, config=cli.OPTIONS),
+        lambda task: run(task, package, extra),
+    )
+
+
+def run(task: Task, package: str, extra: str) -> None:
+    """Compare both algorithms on a task that needs a package.
+
+    Raises:
+        ValueError: saying how to install the package when it is missing.
+    """
+    cli.require_package(package, f'pip install "marl-explore[{extra}]"')
+    compare(task.make_env, task.max_steps, task.train)
+
+
+def compare(make_env: Callable[[int], EnvBase], max_steps: int, settings: Settings) -> Path:
+    """Train both algorithms with every seed and draw their learning curves.
+
+    Args:
+        make_env: the environment of a seed.
+        max_steps: steps after which an episode is truncated.
+        settings: of both.
+
+    Returns:
+        A folder with ``run.json``, ``curves.png`` and ``happo/seed-0/scalars/*.csv``, ...
+    """
+    seeds = parse_seeds(settings.seeds)
+    folder = new_folder(settings.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S"))
+    write_json(folder / "run.json", {"settings": _plain(settings), **provenance()})
+    runs = {name: [folder / name / f"seed-{seed}" for seed in seeds] for name in ALGORITHMS}
+    for name, folders in runs.items():
+        for seed, run in zip(seeds, folders, strict=True):
+            torch.manual_seed(seed)
+            learner = Learner(make_env(seed), max_steps, settings, sequential=name == "happo")
+            logger = Loggers("csv", run, _plain(settings), frames=0)
+            start = time.perf_counter()
+            for frames, metrics in learner.run():
+                logger.log(metrics | {"seconds": time.perf_counter() - start}, frames)
+            print(f"{name}, seed {seed}: {time.perf_counter() - start:.0f} s", flush=True)
+    curves = {name.upper(): folders for name, folders in runs.items()}
+    measures = {"episode_return": "return of an episode"}
+    training_figure(curves, folder / "curves.png", measures, steps="steps of single environments")
+    summary = {name: summarize_seeds(folder / name, seeds) for name in ALGORITHMS}
+    write_json(folder / "summary.json", summary)
+    for name, over_seeds in summary.items():
+        row = over_seeds["episode_return"]
+        print(f"{name}: return {row['mean']:.2f} [{row['low']:.2f}, {row['high']:.2f}]")
+    print(f"runs, curves and every metric: {folder}")
+    return folder
+
+
+class Learner:
+    """One run of one algorithm.
+
+    Args:
+        env: the environment; actors and critic are made to fit its specs.
+        max_steps: steps after which an episode is truncated.
+        settings: of the run.
+        sequential: whether actors are updated as HAPPO does, or else as MAPPO does.
+    """
+
+    def __init__(
+        self, env: EnvBase, max_steps: int, settings: Settings, sequential: bool = True
+    ) -> None:
+        self.env, self.max_steps, self.settings = env, max_steps, settings
+        self.sequential = sequential
+        groups = list(env.group_map)
+        actors = {group: make_actor(env, group, settings.hidden) for group in groups}
+        critic = make_critic(env, groups, settings.hidden)
+        clipping: dict[str, Any] = {
+            "clip_epsilon": settings.clip_epsilon,
+            "entropy_coeff": settings.entropy_coeff,
+        }
+        self.loss = HAPPOLoss(actors, critic, value_norm=PopArtValueNorm(beta=0.99), **clipping)
+        self.loss.make_value_estimator(gamma=settings.gamma, lmbda=settings.lmbda)
+        self.mappo_losses = {  # of advantages that are normalised already
+            group: MAPPOLoss(actor, normalize_advantage=False, functional=False, **clipping)
+            for group, actor in actors.items()
+        }
+        self.optimizers = {
+            name: torch.optim.Adam(network.parameters(), settings.lr, eps=1e-5)
+            for name, network in {**actors, "critic": critic}.items()
+        }
+        self.policy = TensorDictSequential(*actors.values())
+        self.factor_watch = FactorWatch()
+
+    def run(self) -> Iterator[tuple[int, dict[str, float]]]:
+        """Train; yields frames so far and metrics, once per update."""
+        frames, updates = self.settings.frames, self.settings.updates
+        env = TransformedEnv(self.env, Compose(StepCounter(self.max_steps), RewardSum()))
+        collector = Collector(
+            env,
+            self.policy,
+            frames_per_batch=frames,
+            total_frames=frames * updates,
+            auto_register_policy_transforms=False,
+        )
+        for update, batch in enumerate(collector, 1):
+            require_finite_batch(batch, update)
+            metrics = self._share_reward(batch)
+            metrics |= self.update(batch)
+            self.factor_watch(metrics.get("factor_ess", 1.0), update)
+            yield update * frames, metrics
+        collector.shutdown()
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """One update of every network on a rollout [*B, T]."""
+        batch = self.loss.estimate_advantage(batch).reshape(-1)
+        metrics = self._update_in_turn(batch) if self.sequential else self._update_at_once(batch)
+        for part in self._minibatches(batch):
+            output = self.loss.critic_loss(part)
+            self._step("critic", output["loss_critic"])
+        return metrics | {key: value.item() for key, value in output.items()}
+
+    def _update_in_turn(self, batch: TensorDictBase) -> dict[str, float]:
+        order = self.loss.update_order()
+        for name in order:
+            for part in self._minibatches(batch):
+                losses = self.loss.actor_loss(part, name)
+                self._step(name, losses["loss_objective"] + losses["loss_entropy"])
+            if name != order[-1]:
+                self.loss.update_factor(batch, name)
+        return factor_statistics(batch.get("factor", torch.ones(1)))  # one agent has none
+
+    def _update_at_once(self, batch: TensorDictBase) -> dict[str, float]:
+        for part in self._minibatches(batch):
+            for name, loss in self.mappo_losses.items():
+                losses = loss(part)
+                self._step(name, losses["loss_objective"] + losses["loss_entropy"])
+        return {}
+
+    def _share_reward(self, batch: TensorDictBase) -> dict[str, float]:
+        """Write the team's reward, and measure finished episodes."""
+        after = batch["next"]
+        for key in ("reward", "episode_reward"):
+            agents = [after[group, key].mean(-2) for group in self.loss.names]
+            after[key] = torch.stack(agents).mean(0)
+        ended = after["done"].squeeze(-1)
+        measures = {"reward": float(after["reward"].mean())}
+        if ended.any():
+            measures["episode_return"] = float(after["episode_reward"][ended].mean())
+            measures["episode_steps"] = float(after["step_count"][ended].float().mean())
+        return measures
+
+    def _minibatches(self, batch: TensorDictBase) -> Iterator[TensorDictBase]:
+        for _ in range(self.settings.epochs):
+            for rows in torch.randperm(len(batch)).tensor_split(self.settings.minibatches):
+                yield batch[rows]
+
+    def _step(self, name: str, loss: Tensor) -> None:
+        optimizer = self.optimizers[name]
+        optimizer.zero_grad()
+        loss.backward()
+        parameters = optimizer.param_groups[0]["params"]
+        norm = self.settings.max_grad_norm
+        nn.utils.clip_grad_norm_(parameters, norm, error_if_nonfinite=True)
+        optimizer.step()
+
+
+def _plain(settings: Settings) -> Mapping[str, Any]:
+    return asdict(settings) | {"out": str(settings.out)}

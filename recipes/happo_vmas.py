@@ -1,0 +1,51 @@
+"""HAPPO against TorchRL's MAPPO on a VMAS scenario, with continuous actions.
+
+python recipes/happo_vmas.py --scenario navigation
+
+Needs the extra "lab": pip install "marl-explore[lab]". VMAS is under the GPLv3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from happo_mappo import Settings, main
+from torchrl.envs import EnvBase, MarlGroupMapType, VmasEnv
+
+from marl_explore.config import require_integer
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """A scenario and how it is learned."""
+
+    scenario: str = "navigation"
+    """Name of a VMAS scenario."""
+    num_envs: int = 60
+    """Environments side by side."""
+    max_steps: int = 100
+    """Steps after which an episode is truncated."""
+    train: Settings = field(
+        default_factory=lambda: Settings(
+            updates=60, frames=6000, minibatches=4, epochs=10, entropy_coeff=0.0
+        )
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        require_integer("num_envs", self.num_envs, 1)
+        require_integer("max_steps", self.max_steps, 1)
+
+    def make_env(self, seed: int) -> EnvBase:
+        """A group per agent. VMAS itself is told no last step: that would be a termination."""
+        return VmasEnv(
+            self.scenario,
+            num_envs=self.num_envs,
+            continuous_actions=True,
+            seed=seed,
+            group_map=MarlGroupMapType.ONE_GROUP_PER_AGENT,
+        )
+
+
+if __name__ == "__main__":
+    main(Arguments, __doc__, package="vmas", extra="lab")
