@@ -6,6 +6,7 @@ from functools import partial
 
 from marl_explore import native
 from marl_explore.core import frontier
+from marl_explore.native import operator
 
 NAMED = {
     "torch, fixed number of levels": lambda maps, positions, normalize: frontier.feature_table(
@@ -13,8 +14,8 @@ NAMED = {
     ),
 }
 if native.missing() is None:
-    NAMED["native"] = native.feature_table
-    NAMED["native, by queue"] = partial(native.feature_table, rows=False)
+    NAMED["native"] = operator.feature_table
+    NAMED["native, by queue"] = partial(operator.feature_table, rows=False)
 
 
 def feature_table(maps, positions, normalize="relative", levels=None):
