@@ -106,6 +106,7 @@ class RobotCore:
         """Of the latest tick that was decided."""
         self._phase: Callable[[float], bool] = self._begin
         self._since = 0.0
+        self._used: Scan | None = None
         self._reach: set[int] = set()
         self._silent: set[int] = set()
         self._partners: dict[int, set[int]] = {}
@@ -160,7 +161,7 @@ class RobotCore:
 
     def _sense(self, now: float) -> bool:
         scan = self.sensors.scan
-        if scan is None or scan.stamp < self._since:
+        if scan is None or scan.stamp < self._since or scan is self._used:
             return False
         poses = self.sensors.at(scan.stamp)
         if self.robot not in poses:
@@ -170,6 +171,7 @@ class RobotCore:
         cells[self.robot] = cell = self.frame.cell(own.x, own.y)
         if not self.frame.inside(cell):
             return False
+        self._used = scan
         radius, beams = self.config.fov_radius, self.settings.beams
         seen = sight(scan, own, poses.values(), self.frame, radius, beams)
         self.knowledge.sense(cell, seen)

@@ -109,7 +109,7 @@ class World:
     def run(self, ticks, most_steps=20_000):
         """Until every robot alive has sensed tick ``ticks``."""
         for _ in range(most_steps):
-            if all(core.tick >= ticks and not core.is_sensing for core in self.alive()):
+            if all(core.tick - core.is_sensing >= ticks for core in self.alive()):
                 return
             self.step()
         raise AssertionError(f"stuck: {[(c.tick, c._phase.__name__) for c in self.cores]}")
