@@ -223,7 +223,7 @@ def test_a_robot_that_comes_late_joins():
     world.dead.add(1)
     world.run(3)
     world.dead.clear()
-    world.run(8)
+    world.run(80)  # meanwhile robot 0 stays, tick after tick
     assert cells(world) == [(2, 1), (2, 4)]
 
 
