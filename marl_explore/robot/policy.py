@@ -97,6 +97,12 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return spec, arrays
 
 
+def _layers(weights: Weights, prefix: str) -> list[str]:
+    """Names of a sequence's layers with weights, in their order."""
+    own = [name.removeprefix(f"{prefix}.") for name in weights if name.startswith(f"{prefix}.")]
+    return [f"{prefix}.{number}" for number in sorted({int(name.split(".")[0]) for name in own})]
+
+
 def _flat(array: Array, dims: int) -> Array:
     return array.reshape(*array.shape[: array.ndim - dims], -1)
 
@@ -109,14 +115,13 @@ def _linear(weights: Weights, name: str, inputs: Array) -> Array:
 def _mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
     """``models.MLPActor``: its layers by their shapes, ReLU after each linear one but the last."""
     values = np.concatenate((_flat(fov, 2), _flat(fpr, 2), net), -1)
-    numbers = sorted({int(name.split(".")[1]) for name in weights})
-    for number in numbers:
-        name = f"layers.{number}"
+    names = _layers(weights, "layers")
+    for name in names:
         if weights[f"{name}.weight"].ndim == 1:
             values = _normalized(values) * weights[f"{name}.weight"] + weights[f"{name}.bias"]
             continue
         values = _linear(weights, name, values)
-        if number != numbers[-1]:
+        if name != names[-1]:
             values = np.maximum(values, 0)
     return values
 
@@ -129,13 +134,12 @@ def _normalized(values: Array) -> Array:
 def _cnn(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
     """``models.CNNActor``: convolutions on FOV, layers on FPR and NET, then the head."""
     image = fov[..., None, :, :]
-    number = 0
-    while (kernel := weights[f"encoder.fov.{number}.weight"]).ndim == 4:
-        image = np.maximum(_convolved(image, kernel, weights[f"encoder.fov.{number}.bias"]), 0)
-        number += 2
-    name = f"encoder.fov.{number}"
+    *convolutions, last = _layers(weights, "encoder.fov")
+    for name in convolutions:
+        image = _convolved(image, weights[f"{name}.weight"], weights[f"{name}.bias"])
+        image = np.maximum(image, 0)
     parts = (
-        _linear(weights, name, _flat(image, 3)),
+        _linear(weights, last, _flat(image, 3)),
         _linear(weights, "encoder.fpr.0", _flat(fpr, 2)),
         _linear(weights, "encoder.net.0", net),
     )
