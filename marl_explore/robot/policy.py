@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,13 @@ class ExportedPolicy:
         if self._chance is None:
             return int(logits.argmax())
         return int((logits + self._chance.gumbel(size=logits.shape)).argmax())
+
+    def with_seed(self, seed: int | Sequence[int]) -> ExportedPolicy:
+        """The same actor, drawing its actions by another seed; the weights are shared."""
+        other = copy.copy(self)
+        if self._chance is not None:
+            other._chance = np.random.default_rng(seed)
+        return other
 
     def masked_logits(
         self, fov: Array, fpr: Array, net: Array, action_mask: NDArray[np.bool_]
