@@ -40,9 +40,8 @@ def bare_python(tmp_path_factory):
 
 
 def test_a_robot_decides_without_torch(bare_python, tmp_path):
-    from marl_explore.export import export_npz
-
     from marl_explore import ArenaConfig
+    from marl_explore.export import export_npz
     from marl_explore.policies import Policy, PolicySpec
 
     spec = PolicySpec(ArenaConfig(num_agents=2), "mlp", (16,), "proximity")
