@@ -61,7 +61,7 @@ $(VENV)/installed-dev: $(VENV)/installed
 	touch $@
 
 $(VENV)/installed-extras: $(VENV)/installed-dev
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser,lab,mpe,pursuit,ray,sb3,tensorboard,wandb,mlflow]"
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser,export,lab,mpe,pursuit,ray,sb3,tensorboard,wandb,mlflow]"
 	touch $@
 
 $(BENCHMARL)/installed: pyproject.toml constraints.txt

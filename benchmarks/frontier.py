@@ -11,6 +11,7 @@ from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.timing import medians
 from marl_explore import ArenaConfig, ExplorationEnv, native
 from marl_explore.core.frontier import feature_table
+from marl_explore.native import operator
 from marl_explore.planners import PLANNERS
 
 
@@ -37,7 +38,7 @@ def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[st
         "BFS per robot": (lambda: [bfs_table(*p) for p in plain], len(plain)),
     }
     if native.missing() is None:
-        contenders["native"] = (lambda: native.feature_table(maps, positions), len(maps))
+        contenders["native"] = (lambda: operator.feature_table(maps, positions), len(maps))
     seconds = medians({name: function for name, (function, _) in contenders.items()}, repeats)
     return {name: seconds[name] / count * 1e6 for name, (_, count) in contenders.items()}
 

@@ -12,6 +12,7 @@ import torch
 import marl_explore
 from marl_explore import FrontierReachability, native
 from marl_explore.core import frontier
+from marl_explore.native import operator
 
 
 def random_maps(*batch, height=9, width=13, seed=0):
@@ -49,7 +50,7 @@ def test_large_grids_agree_with_torch(size):
     maps, positions = open_maps(12, height=size[0], width=size[1])
     expected = frontier.feature_table(maps, positions)
     assert expected.any()
-    assert native.feature_table(maps, positions).equal(expected)
+    assert operator.feature_table(maps, positions).equal(expected)
 
 
 @needs_kernel
@@ -65,7 +66,7 @@ def test_the_longest_paths_agree_with_torch(height, width, longest):
     last = width - 1 - (width + 1) % 2
     maps[0, 0 if last % 4 else -1, last] = -1  # at the end of the last free column
     positions = torch.tensor([[0, 0]])
-    table = native.feature_table(maps, positions, None)
+    table = operator.feature_table(maps, positions, None)
     assert table.any()
     assert frontier.paths(maps, positions)[1].max() == longest
     assert table.equal(frontier.feature_table(maps, positions, None))
@@ -74,11 +75,11 @@ def test_the_longest_paths_agree_with_torch(height, width, longest):
 @needs_kernel
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_share_the_robots(threads):
-    maps, positions = random_maps(native.ROBOTS_PER_THREAD * 3 + 1)
+    maps, positions = random_maps(operator.ROBOTS_PER_THREAD * 3 + 1)
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(threads)
-        table = native.feature_table(maps, positions)
+        table = operator.feature_table(maps, positions)
     finally:
         torch.set_num_threads(before)
     assert table.equal(frontier.feature_table(maps, positions))
@@ -87,8 +88,8 @@ def test_threads_share_the_robots(threads):
 @needs_kernel
 def test_inputs_need_not_be_contiguous():
     maps, positions = random_maps(6, 4)
-    table = native.feature_table(maps.transpose(0, 1), positions.transpose(0, 1))
-    assert table.equal(native.feature_table(maps, positions).transpose(0, 1))
+    table = operator.feature_table(maps.transpose(0, 1), positions.transpose(0, 1))
+    assert table.equal(operator.feature_table(maps, positions).transpose(0, 1))
 
 
 @needs_kernel
@@ -100,13 +101,13 @@ def test_the_operator_fits_torch():
 @needs_kernel
 def test_vmap_over_any_dimension():
     maps, positions = random_maps(6, 4)
-    expected = native.feature_table(maps, positions)
-    assert torch.vmap(native.feature_table)(maps, positions).equal(expected)
-    along = torch.vmap(native.feature_table, in_dims=(1, 1), out_dims=1)(maps, positions)
+    expected = operator.feature_table(maps, positions)
+    assert torch.vmap(operator.feature_table)(maps, positions).equal(expected)
+    along = torch.vmap(operator.feature_table, in_dims=(1, 1), out_dims=1)(maps, positions)
     assert along.equal(expected)
-    one_map = torch.vmap(native.feature_table, in_dims=(None, 0))(maps[0, 0], positions[:, 0])
+    one_map = torch.vmap(operator.feature_table, in_dims=(None, 0))(maps[0, 0], positions[:, 0])
     for row, position in zip(one_map, positions[:, 0], strict=True):
-        assert row.equal(native.feature_table(maps[0, 0], position))
+        assert row.equal(operator.feature_table(maps[0, 0], position))
 
 
 def test_fake_tensors_have_the_shape():
@@ -114,7 +115,7 @@ def test_fake_tensors_have_the_shape():
 
     with FakeTensorMode():
         maps, positions = torch.empty(7, 3, 5, 5, dtype=torch.int8), torch.empty(7, 3, 2).long()
-        table = native.feature_table(maps, positions)
+        table = operator.feature_table(maps, positions)
     assert table.shape == (7, 3, 8, 3)
     assert table.dtype == torch.float32
 
@@ -129,12 +130,12 @@ def test_fake_tensors_have_the_shape():
 )
 def test_other_inputs_are_refused(maps, positions, message):
     with pytest.raises(ValueError, match=message):
-        native.feature_table(maps, positions)
+        operator.feature_table(maps, positions)
 
 
 def test_an_unknown_normalisation_is_refused():
     with pytest.raises(ValueError, match="normalize='max' is not one of"):
-        native.feature_table(*random_maps(1), "max")
+        operator.feature_table(*random_maps(1), "max")
 
 
 # ------------------------------------------------------------------ without a kernel
@@ -172,7 +173,7 @@ def test_positions_outside_the_map_are_refused():
     for cell in ((-1, 0), (0, 13), (9, 0), (10**9, -(10**9))):
         positions[2] = torch.tensor(cell)
         with pytest.raises(ValueError, match="outside its map of 9 x 13 cells"):
-            native.feature_table(maps, positions)
+            operator.feature_table(maps, positions)
 
 
 @needs_kernel
@@ -180,13 +181,13 @@ def test_positions_outside_the_map_are_refused():
 def test_a_forked_process_has_threads_of_its_own():
     code = """
 import os, torch
-from marl_explore import native
+from marl_explore.native import operator
 torch.set_num_threads(2)
 maps = torch.zeros(4096, 5, 5, dtype=torch.int8)
 positions = torch.zeros(4096, 2, dtype=torch.int64)
-native.feature_table(maps, positions)
+operator.feature_table(maps, positions)
 child = os.fork()
-native.feature_table(maps, positions)
+operator.feature_table(maps, positions)
 if child:
     os._exit(os.waitpid(child, 0)[1])
 os._exit(0)

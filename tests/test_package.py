@@ -26,7 +26,13 @@ def test_unknown_names_are_attribute_errors():
         _ = marl_explore.Explorer
 
 
-LIGHT = ["marl_explore", "marl_explore.__main__", "marl_explore.config", "marl_explore.cli"]
+LIGHT = [
+    "marl_explore",
+    "marl_explore.__main__",
+    "marl_explore.config",
+    "marl_explore.cli",
+    "marl_explore.robot",
+]
 
 
 def command(*arguments):

@@ -64,6 +64,15 @@ def test_every_line_has_a_style_of_its_own():
     assert len(styles) == 20
 
 
+def test_lab_figure_draws_best_and_merged_maps(drawn):
+    coverage = {"best": torch.tensor([[0.2, 0.6], [0.4, 0.8]]), "merged": torch.ones(2, 2)}
+    plots.lab_figure(coverage, "unused")
+    axes = drawn[0].axes[0]
+    assert line(axes, "best map") == ([0, 1], pytest.approx([30, 70]))
+    assert line(axes, "merged map") == ([0, 1], pytest.approx([100, 100]))
+    assert axes.get_ylabel() == "known target cells (%)"
+
+
 def test_communication_figure_draws_means_and_quantiles_of_the_episodes_with_any(drawn):
     share = torch.tensor([0.0, 0.1, 0.2, 0.3, 0.9])
     useful = torch.tensor([math.nan, 0.5, 0.5, 0.5, 0.7])

@@ -15,6 +15,7 @@ from marl_explore import ArenaConfig
 from marl_explore.arenas import load_map
 from marl_explore.planners import PLANNERS, Planner
 from marl_explore.policies import load_policy
+from marl_explore.robot import ExportedPolicy
 from recipes import foreign_maps, pettingzoo_torchrl
 from recipes import tune_planners as tune
 from tests import reference
@@ -60,6 +61,16 @@ def test_train_then_evaluate(tmp_path):
     assert results["results"]["random"]["steps_to_100"] == pytest.approx(sum(scores) / 5)
     assert (out / "table.txt").read_text().strip() in evaluated.stdout
     assert len((out / "results.csv").read_text().splitlines()) == 4
+
+
+def test_a_run_is_exported_for_numpy(tmp_path):
+    trained = recipe("train.py", "fast", *TINY, "--out", tmp_path / "run")
+    assert trained.returncode == 0, trained.stderr
+    out = tmp_path / "exported"
+    done = recipe("export.py", tmp_path / "run", "--kinds", "npz", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert ExportedPolicy(out / "policy.npz", 1).arena.height == 6
+    assert "export.py" in json.loads((out / "export.json").read_text())["command"]
 
 
 def test_train_and_evaluate_on_a_suite(tmp_path):

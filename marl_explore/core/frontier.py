@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from marl_explore.codes import NORMALIZATIONS as NORMALIZATIONS
+from marl_explore.codes import Normalization as Normalization
 from marl_explore.core.grid import (
     FREE,
     NUM_DIRECTIONS,
@@ -17,9 +19,6 @@ from marl_explore.core.grid import (
     flat_cell,
 )
 from marl_explore.core.wavefront import batch_last, flood, mask
-
-Normalization = Literal["relative", "proximity", "absolute"]
-NORMALIZATIONS: tuple[Normalization | None, ...] = ("relative", "proximity", "absolute", None)
 
 
 def frontier_mask(grid: Tensor) -> Tensor:

@@ -7,14 +7,14 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-UNKNOWN, FREE, OCCUPIED = -1, 0, 1
-"""Cell codes of an occupancy map (int8)."""
-
-COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
-"""(row, column) offsets of N, NE, E, SE, S, SW, W, NW; row 0 is north."""
-NUM_DIRECTIONS = len(COMPASS)
-STAY, COMMUNICATE = 8, 9
-NUM_ACTIONS = 10
+from marl_explore.codes import COMMUNICATE as COMMUNICATE
+from marl_explore.codes import COMPASS as COMPASS
+from marl_explore.codes import FREE as FREE
+from marl_explore.codes import NUM_ACTIONS as NUM_ACTIONS
+from marl_explore.codes import NUM_DIRECTIONS as NUM_DIRECTIONS
+from marl_explore.codes import OCCUPIED as OCCUPIED
+from marl_explore.codes import STAY as STAY
+from marl_explore.codes import UNKNOWN as UNKNOWN
 
 
 @lru_cache

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from marl_explore.codes import NEVER as NEVER
 from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import (
     COMMUNICATE,
@@ -29,9 +30,6 @@ from marl_explore.core.mapping import (
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
 from marl_explore.core.radio import in_range, networks
 from marl_explore.core.rewards import StepRecord
-
-NEVER = 1_000_000
-"""Steps since the last merge of two robots that never merged; the counter stops there."""
 
 
 class WorldState(NamedTuple):

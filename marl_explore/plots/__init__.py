@@ -11,6 +11,7 @@ from marl_explore.plots.evaluation import (
     communication_figure,
     coverage_figure,
     enlargement_figure,
+    lab_figure,
     tradeoff_figure,
 )
 from marl_explore.plots.training import training_figure
@@ -25,6 +26,7 @@ __all__ = [
     "enlargement_figure",
     "episode_animation",
     "episode_figure",
+    "lab_figure",
     "tradeoff_figure",
     "training_figure",
 ]

@@ -17,13 +17,18 @@ MARKED_STEPS = (20, 50, 150)
 """Steps with a dot on the lines of ``tradeoff_figure``."""
 
 
-def coverage_figure(curves: Mapping[str, Tensor | Band], path: str | Path) -> Path:
+def coverage_figure(
+    curves: Mapping[str, Tensor | Band],
+    path: str | Path,
+    covers: str = "coverage of the largest map",
+) -> Path:
     """Coverage of the largest map over steps, a line per policy with the middle half shaded.
 
     Args:
         curves: per policy [B, T + 1] as ``metrics.coverage`` gives them, or ``stats.middle_half``
             of it; shares of the target cells.
         path: image file to write.
+        covers: what the shares are of.
     """
     with matplotlib.rc_context(STYLE):
         # without pyplot: a user's backend and open figures stay as they are
@@ -36,7 +41,7 @@ def coverage_figure(curves: Mapping[str, Tensor | Band], path: str | Path) -> Pa
             draw_band(axes, steps, Band(*(100 * line for line in band)), style)
         axes.set(
             xlabel="step",
-            ylabel="coverage of the largest map (%)",
+            ylabel=f"{covers} (%)",
             xlim=(0, steps[-1]),
             ylim=(0, 102),
             title="mean over arenas; middle half shaded",
@@ -44,6 +49,17 @@ def coverage_figure(curves: Mapping[str, Tensor | Band], path: str | Path) -> Pa
         axes.grid(alpha=0.25)
         legend(figure, axes)
         return save(figure, path)
+
+
+def lab_figure(coverage: Mapping[str, Tensor], path: str | Path) -> Path:
+    """The best single map and all maps merged over the steps of robots in the lab.
+
+    Args:
+        coverage: "best" and "merged", float [A, T + 1], as ``lab.LabRecord.coverage`` gives them.
+        path: image file to write.
+    """
+    curves = {"best map": coverage["best"], "merged map": coverage["merged"]}
+    return coverage_figure(curves, path, covers="known target cells")
 
 
 def communication_figure(shares: Mapping[str, Mapping[str, Tensor]], path: str | Path) -> Path:

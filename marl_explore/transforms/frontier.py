@@ -13,6 +13,7 @@ from marl_explore import native
 from marl_explore.core import frontier
 from marl_explore.core.frontier import NORMALIZATIONS, Normalization
 from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN
+from marl_explore.native import operator
 from marl_explore.transforms.base import FeatureTransform, within
 
 Backend = Literal["auto", "torch", "native"]
@@ -85,7 +86,7 @@ class FrontierReachability(FeatureTransform):
         """The feature table float32 [*B, 8, 3] of maps [*B, H, W] and positions [*B, 2]."""
         grid, position = inputs
         if self._is_native(grid):
-            return native.feature_table(grid, position, self.normalize)
+            return operator.feature_table(grid, position, self.normalize)
         return frontier.feature_table(grid, position, self.normalize, self.levels)
 
     def _is_native(self, grid: Tensor) -> bool:

@@ -1,0 +1,22 @@
+"""What the numbers in maps, actions and feature tables mean; without torch, for every side."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+UNKNOWN, FREE, OCCUPIED = -1, 0, 1
+"""Cell codes of an occupancy map (int8)."""
+
+COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
+"""(row, column) offsets of N, NE, E, SE, S, SW, W, NW; row 0 is north."""
+NUM_DIRECTIONS = len(COMPASS)
+STAY, COMMUNICATE = 8, 9
+NUM_ACTIONS = 10
+
+NUM_FEATURES = 3
+"""Numbers of the feature table per direction."""
+Normalization = Literal["relative", "proximity", "absolute"]
+NORMALIZATIONS: tuple[Normalization | None, ...] = ("relative", "proximity", "absolute", None)
+
+NEVER = 1_000_000
+"""Steps since the last merge of two robots that never merged; the counter stops there."""

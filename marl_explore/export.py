@@ -1,0 +1,149 @@
+"""Trained policies for computers without torch: one .npz for numpy, or an ONNX graph per robot.
+
+Both hold the actors' networks only: FPR and NET are computed before them, and sampling comes
+after them (``marl_explore.robot`` does both; docs/robots.md tells how).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from marl_explore.codes import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATURES
+from marl_explore.config import ArenaConfig
+from marl_explore.files import whole_file
+from marl_explore.policies import Policy
+from marl_explore.robot.policy import FORMAT
+
+INPUTS = ("fov", "fpr", "net", "action_mask")
+OUTPUTS = ("action", "masked_logits")
+NOT_IN_THE_GRAPH = (
+    "fov, fpr and net are computed before: fpr in the normalisation that the spec names. "
+    "action is the likeliest allowed one; to sample, take masked_logits as those of a categorical "
+    "distribution."
+)
+"""What users of an ONNX file have to know."""
+
+
+class Deployed(nn.Module):
+    """One robot's actor with its masked choice: the graph that is exported.
+
+    Args:
+        actor: the network.
+    """
+
+    def __init__(self, actor: nn.Module) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(
+        self, fov: Tensor, fpr: Tensor, net: Tensor, action_mask: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The likeliest allowed action int64 [B], and logits [B, 10], -inf where not allowed.
+
+        Args:
+            fov: float32 [B, 2k + 1, 2k + 1].
+            fpr: float32 [B, 8, 3].
+            net: float32 [B, N].
+            action_mask: bool [B, 10].
+        """
+        logits = self.actor(fov, fpr, net).masked_fill(~action_mask, -torch.inf)
+        return logits.argmax(-1), logits
+
+
+def spec_text(policy: Policy) -> str:
+    """What the networks are, as JSON: format, arena, architecture, FPR's normalisation."""
+    return json.dumps({"format": FORMAT, **asdict(policy.spec)})
+
+
+def export_npz(policy: Policy, path: str | Path) -> Path:
+    """Write all robots' actors as arrays that ``robot.ExportedPolicy`` reads.
+
+    Args:
+        policy: the team.
+        path: file to write, ending in .npz.
+
+    Raises:
+        ValueError: for another ending, or a folder that does not exist.
+    """
+    path = Path(path)
+    if path.suffix != ".npz" or not path.parent.is_dir():
+        raise ValueError(
+            f"path={str(path)!r} is not allowed: it must end in .npz, in an existing folder"
+        )
+    weights = policy.actors.state_dict()
+    arrays = {name: tensor.float().numpy() for name, tensor in weights.items()}
+    with whole_file(path) as unfinished, unfinished.open("wb") as file:
+        np.savez(file, spec=np.array(spec_text(policy)), **arrays)
+    return path
+
+
+def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
+    """Write every robot's actor as ``robot_<i>.onnx``; it takes the extra "export".
+
+    Inputs are fov, fpr, net and action_mask, outputs action and masked_logits, with any number of
+    rows; metadata hold the spec, the robot, and what is not in the graph.
+
+    Args:
+        policy: the team.
+        folder: where to write; made when it does not exist.
+
+    Raises:
+        ModuleNotFoundError: without onnx and onnxscript.
+    """
+    import onnx
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for robot, actor in enumerate(policy.actors):
+        model = _graph(Deployed(actor).float().eval(), policy.spec.arena)
+        described = {
+            "spec": spec_text(policy),
+            "robot": str(robot),
+            "not in the graph": NOT_IN_THE_GRAPH,
+        }
+        onnx.helper.set_model_props(model, described)
+        path = folder / f"robot_{robot}.onnx"
+        with whole_file(path) as unfinished:
+            onnx.save(model, unfinished)
+        paths.append(path)
+    return paths
+
+
+def _graph(deployed: Deployed, arena: ArenaConfig) -> Any:
+    """An onnx.ModelProto."""
+    example = example_inputs(arena, 2)
+    rows = torch.export.Dim("rows")
+    program = torch.onnx.export(
+        deployed,
+        tuple(example),
+        input_names=INPUTS,
+        output_names=OUTPUTS,
+        dynamic_shapes=[{0: rows} for _ in example],
+        dynamo=True,
+        verbose=False,
+    )
+    assert program is not None
+    return program.model_proto
+
+
+def example_inputs(arena: ArenaConfig, rows: int, seed: int = 0) -> Sequence[Tensor]:
+    """Random observations of one robot: fov, fpr, net and action_mask, ``rows`` of each."""
+    chance = torch.Generator().manual_seed(seed)
+    shape = {
+        "fov": (rows, arena.fov_size, arena.fov_size),
+        "fpr": (rows, NUM_DIRECTIONS, NUM_FEATURES),
+        "net": (rows, arena.num_agents),
+    }
+    fov, fpr, net = (torch.rand(size, generator=chance) for size in shape.values())
+    mask = torch.rand(rows, NUM_ACTIONS, generator=chance) > 0.4
+    mask[:, -2] = True  # to stay is always allowed
+    return (fov > 0.7).float(), fpr, (net > 0.5).float(), mask

@@ -1,0 +1,11 @@
+"""The paper's lab in simulation: robots with wheels and lidars execute grid actions (extra "lab").
+
+Physics and lidar are VMAS's, which is licensed under the GPLv3 and imported when a lab is built.
+"""
+
+from __future__ import annotations
+
+from marl_explore.lab.measures import LabRecord
+from marl_explore.lab.runner import LabRunner, Noise, exported_policies
+
+__all__ = ["LabRecord", "LabRunner", "Noise", "exported_policies"]

@@ -1,0 +1,93 @@
+"""What is measured of robots in the lab, against the rules of the grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from marl_explore import metrics
+from marl_explore.codes import NUM_DIRECTIONS, UNKNOWN
+from marl_explore.config import ArenaConfig
+from marl_explore.core.grid import bordered, surroundings
+from marl_explore.core.mapping import target_cells
+from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
+from marl_explore.core.radio import in_range
+
+
+@dataclass(frozen=True)
+class LabRecord:
+    """A arenas over T steps, N robots each, and what happened between the steps."""
+
+    config: ArenaConfig
+    obstacles: Tensor
+    """bool [A, H, W]."""
+    maps: Tensor
+    """Each robot's map, int8 [A, T + 1, N, H, W]."""
+    cells: Tensor
+    """Where the robots truly were, int64 [A, T + 1, N, 2]."""
+    actions: Tensor
+    """What they chose, int64 [A, T, N]."""
+    robot_contacts: int
+    """Times that two robots came to touch."""
+    obstacle_contacts: int
+    """Times that a robot came to touch an obstacle."""
+    seconds: float
+    """How long it took the robots."""
+    sent_bytes: dict[str, int]
+    """Bytes sent by kind of message, counted once for every receiver."""
+
+    def coverage(self) -> dict[str, Tensor]:
+        """Known share of the target cells, float64 [A, T + 1]: "best" map, and all "merged"."""
+        target = target_cells(self.obstacles, self.cells[:, 0])
+        moments = metrics.snapshot(self.maps, target.unsqueeze(1))
+        whole = target.flatten(1).sum(-1).unsqueeze(-1).double()
+        return {
+            "best": moments.known_targets.amax(-1) / whole,
+            "merged": moments.union_targets / whole,
+        }
+
+    def wrong_cells(self) -> int:
+        """Known cells of the last maps that contradict the arena."""
+        last = self.maps[:, -1]
+        return int(((last != UNKNOWN) & (last != self.obstacles.unsqueeze(1))).sum())
+
+    def known_cells(self) -> int:
+        """Known cells of the last maps."""
+        return int((self.maps[:, -1] != UNKNOWN).sum())
+
+    def disagreements(self) -> Tensor:
+        """Where a robot did not end in the cell the rules of the grid send it to, bool [A, T, N].
+
+        Each step starts from where the robots truly were.
+        """
+        config, before = self.config, self.cells[:, :-1]
+        walls = bordered(self.obstacles, config.fov_radius).unsqueeze(1)
+        walls = walls.expand(-1, before.shape[1], -1, -1)
+        view = surroundings(walls, before, config.fov_radius, config.occlusion)
+        reach = in_range(before, config.communication_cells)
+        allowed = action_mask(open_moves(view), reach)
+        refused = dangerous_moves(allowed, before, self.actions)
+        expected = move(before, self.actions, refused)
+        return (expected != self.cells[:, 1:]).any(-1)
+
+    def summary(self) -> dict[str, float]:
+        """Everything as numbers by name."""
+        wrong, curves = self.disagreements(), self.coverage()
+        moves = self.actions < NUM_DIRECTIONS
+        steps = self.actions.shape[1]
+        return {
+            "arenas": len(self.obstacles),
+            "steps": steps,
+            "moves": int(moves.sum()),
+            "agreement": 1 - wrong.double().mean().item(),
+            "agreement of moves": 1 - (wrong & moves).sum().item() / max(int(moves.sum()), 1),
+            "robot contacts": self.robot_contacts,
+            "obstacle contacts": self.obstacle_contacts,
+            "wrong cells": self.wrong_cells(),
+            "known cells": self.known_cells(),
+            "best map at the end": curves["best"][:, -1].mean().item(),
+            "merged map at the end": curves["merged"][:, -1].mean().item(),
+            "seconds of a step": self.seconds / steps,
+            **{f"{kind} bytes": count for kind, count in sorted(self.sent_bytes.items())},
+        }

@@ -1,0 +1,26 @@
+"""A robot of the team, without a transport and without torch: numpy and nothing else.
+
+``RobotCore`` takes scans, poses and messages with their stamps and gives velocities and messages;
+a node around it (ROS 2, a simulator) carries them. docs/robots.md tells frames, units and messages.
+"""
+
+from __future__ import annotations
+
+from marl_explore.robot.clock import BarrierClock, PeriodClock
+from marl_explore.robot.core import RobotCore, Settings
+from marl_explore.robot.messages import Envelope, Pose, Scan, decode
+from marl_explore.robot.observation import Observation
+from marl_explore.robot.policy import ExportedPolicy
+
+__all__ = [
+    "BarrierClock",
+    "Envelope",
+    "ExportedPolicy",
+    "Observation",
+    "PeriodClock",
+    "Pose",
+    "RobotCore",
+    "Scan",
+    "Settings",
+    "decode",
+]

@@ -1,0 +1,86 @@
+"""The shared clock: when the team's next step begins, by agreement or by the time of day."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Protocol
+
+from marl_explore.config import require_positive
+
+
+class Clock(Protocol):
+    """What tells a robot which tick it is."""
+
+    announces: bool
+    """Whether robots tell each other that they are through with a tick."""
+
+    def tick(self, now: float) -> int:
+        """The tick at a time (seconds), which never falls; -1 before the first."""
+
+    def report(self, robot: int, tick: int, now: float) -> None:
+        """A robot is through with a tick."""
+
+
+class PeriodClock:
+    """A tick every so many seconds, the same on all robots whose clocks agree.
+
+    Args:
+        period: length of a tick (seconds).
+        start: when tick 0 begins (seconds).
+    """
+
+    announces = False
+
+    def __init__(self, period: float, start: float = 0.0) -> None:
+        require_positive("period", period, "seconds")
+        self.period, self.start = period, start
+
+    def tick(self, now: float) -> int:
+        """The tick at a time (seconds)."""
+        return max(-1, math.floor((now - self.start) / self.period))
+
+    def report(self, robot: int, tick: int, now: float) -> None:
+        """Nobody is waited for."""
+
+
+class BarrierClock:
+    """A tick begins when all robots are through with the one before.
+
+    Every robot has its own, fed with what the others tell; who is silent is no longer waited for.
+
+    Args:
+        robots: numbers of all robots.
+        patience: how long a robot is waited for (seconds).
+    """
+
+    announces = True
+
+    def __init__(self, robots: Iterable[int], patience: float = 60.0) -> None:
+        require_positive("patience", patience, "seconds")
+        self.patience = patience
+        self._through = dict.fromkeys(robots, -1)
+        self._missed: set[int] = set()
+        self._tick, self._since = 0, math.nan
+
+    def tick(self, now: float) -> int:
+        """The tick at a time (seconds)."""
+        if math.isnan(self._since):
+            self._since = now
+        waited_for = {robot for robot, tick in self._through.items() if tick < self._tick}
+        if now - self._since > self.patience:
+            self._missed |= waited_for
+        latest = max(self._through.values())
+        if latest > self._tick:  # the others went on: join them
+            self._begin(latest, now)
+        elif latest == self._tick and not waited_for - self._missed:
+            self._begin(self._tick + 1, now)
+        return self._tick
+
+    def report(self, robot: int, tick: int, now: float) -> None:
+        """A robot is through with a tick; who was given up is waited for again."""
+        self._through[robot] = max(tick, self._through.get(robot, -1))
+        self._missed.discard(robot)
+
+    def _begin(self, tick: int, now: float) -> None:
+        self._tick, self._since = tick, now

@@ -1,0 +1,68 @@
+"""From cell to cell with a differential drive: turn to the next centre, go straight, stop there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from marl_explore.robot.geometry import wrapped
+from marl_explore.robot.messages import Pose
+
+
+class Velocity(NamedTuple):
+    """What a differential drive is told."""
+
+    forward: float
+    """Metres per second."""
+    turn: float
+    """Radians per second, counter-clockwise."""
+
+
+ZERO = Velocity(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Limits and gains; the defaults suit a TurtleBot3."""
+
+    max_forward: float = 0.2
+    """Metres per second."""
+    max_turn: float = 2.0
+    """Radians per second."""
+    arrival: float = 0.03
+    """Distance from a centre at which a robot has arrived (metres)."""
+    heading_tolerance: float = 0.35
+    """Largest error of heading with which it goes forward (radians)."""
+    forward_gain: float = 1.5
+    """Per second."""
+    turn_gain: float = 3.0
+    """Per second."""
+    clearance: float = 0.33
+    """A robot ahead and nearer than this is waited for (metres)."""
+
+    def arrived(self, pose: Pose, goal: tuple[float, float]) -> bool:
+        """Whether a robot is at its goal, (x, y) in metres."""
+        return math.hypot(goal[0] - pose.x, goal[1] - pose.y) < self.arrival
+
+    def velocity(self, pose: Pose, goal: tuple[float, float], others: Iterable[Pose]) -> Velocity:
+        """Towards a goal, (x, y) in metres; others ahead are not run into."""
+        if self.arrived(pose, goal):
+            return ZERO
+        east, north = goal[0] - pose.x, goal[1] - pose.y
+        error = wrapped(math.atan2(north, east) - pose.yaw)
+        turn = max(-self.max_turn, min(self.max_turn, self.turn_gain * error))
+        if abs(error) > self.heading_tolerance or self._is_blocked(pose, others):
+            return Velocity(0.0, turn)
+        distance = math.hypot(east, north)
+        forward = min(self.forward_gain * distance, self.max_forward)
+        return Velocity(forward * math.cos(error), turn)
+
+    def _is_blocked(self, pose: Pose, others: Iterable[Pose]) -> bool:
+        for other in others:
+            east, north = other.x - pose.x, other.y - pose.y
+            ahead = east * math.cos(pose.yaw) + north * math.sin(pose.yaw)
+            if ahead > 0 and math.hypot(east, north) < self.clearance:
+                return True
+        return False

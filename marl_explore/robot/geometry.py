@@ -1,0 +1,48 @@
+"""Metres and cells: x points east, y north, and the origin is the middle of the arena."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from marl_explore.config import ArenaConfig
+
+Cell = tuple[int, int]
+"""(row, column); row 0 is north."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The grid of an arena in its frame."""
+
+    height: int
+    """Rows (cells)."""
+    width: int
+    """Columns (cells)."""
+    cell_size: float
+    """Side of a cell (metres)."""
+
+    @classmethod
+    def of(cls, config: ArenaConfig) -> Frame:
+        """The frame of a configuration's arena."""
+        return cls(config.height, config.width, config.cell_size)
+
+    def cell(self, x: float, y: float) -> Cell:
+        """The cell that holds a point (metres); it may lie outside the arena."""
+        row = math.floor(self.height / 2 - y / self.cell_size)
+        return row, math.floor(self.width / 2 + x / self.cell_size)
+
+    def centre(self, cell: Cell) -> tuple[float, float]:
+        """Middle of a cell, (x, y) in metres."""
+        row, column = cell
+        x = (column + 0.5 - self.width / 2) * self.cell_size
+        return x, (self.height / 2 - row - 0.5) * self.cell_size
+
+    def inside(self, cell: Cell) -> bool:
+        """Whether a cell belongs to the arena."""
+        return 0 <= cell[0] < self.height and 0 <= cell[1] < self.width
+
+
+def wrapped(angle: float) -> float:
+    """The same angle in [-pi, pi] (radians)."""
+    return math.remainder(angle, 2 * math.pi)

@@ -1,0 +1,92 @@
+"""Messages of the other robots by tick, and the count of what a robot sends itself."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+
+from marl_explore.robot.knowledge import Map
+from marl_explore.robot.messages import Envelope, Intent, Message, Share
+
+KEPT_TICKS = 8
+"""For how long messages are of use."""
+
+
+class Mailbox:
+    """Letters in and out of one robot.
+
+    Args:
+        robot: whose it is.
+    """
+
+    def __init__(self, robot: int) -> None:
+        self.robot = robot
+        self.sent: Counter[str] = Counter()
+        """Messages sent by kind, one for every robot that gets it."""
+        self.sent_bytes: Counter[str] = Counter()
+        """Bytes of those."""
+        self._intents: dict[int, dict[int, Intent]] = defaultdict(dict)
+        self._shares: dict[int, dict[int, tuple[int, Share]]] = defaultdict(dict)
+        self._passed: set[tuple[int, int]] = set()
+        self._taken: set[tuple[int, int]] = set()
+        self._out: list[Envelope] = []
+
+    def receive(self, envelope: Envelope) -> None:
+        """Keep an intent or a share; of a share that comes twice, the first."""
+        message = envelope.message
+        if isinstance(message, Intent):
+            self._intents[message.tick][message.robot] = message
+        elif isinstance(message, Share) and message.robot != self.robot:
+            shares = self._shares[message.tick]
+            shares.setdefault(message.robot, (envelope.sender, message))
+
+    def intents(self, tick: int, robots: Iterable[int]) -> dict[int, Intent]:
+        """What some robots are about to do in a tick, of those that said so."""
+        told = self._intents.get(tick, {})
+        return {robot: told[robot] for robot in robots if robot in told}
+
+    def shared(self, tick: int, robots: Iterable[int]) -> dict[int, Map]:
+        """Maps that came in a tick from some robots, passed on ones too, by whose they are."""
+        return {share.robot: share.map for _, share in self._sent_by(tick, robots)}
+
+    def take_shared(self, tick: int, robots: Iterable[int]) -> dict[int, Map]:
+        """The same, but every map only once."""
+        maps = self.shared(tick, robots)
+        maps = {robot: grid for robot, grid in maps.items() if (tick, robot) not in self._taken}
+        self._taken |= {(tick, robot) for robot in maps}
+        return maps
+
+    def _sent_by(self, tick: int, robots: Iterable[int]) -> list[tuple[int, Share]]:
+        members = set(robots)
+        return [pair for pair in self._shares.get(tick, {}).values() if pair[0] in members]
+
+    def send(self, message: Message, to: Iterable[int]) -> None:
+        """Send a message to others."""
+        receivers = tuple(sorted(set(to) - {self.robot}))
+        if receivers:
+            kind = type(message).__name__.lower()
+            self.sent[kind] += len(receivers)
+            self.sent_bytes[kind] += len(receivers) * len(message.encode())
+            self._out.append(Envelope(self.robot, receivers, message))
+
+    def pass_on(self, tick: int, robots: Iterable[int]) -> None:
+        """Pass every map of a tick on once, so that it reaches the whole network."""
+        partners = set(robots)
+        for sender, share in self._sent_by(tick, partners):
+            if (tick, share.robot) not in self._passed:
+                self._passed.add((tick, share.robot))
+                self.send(share, partners - {sender, share.robot})
+
+    def collect(self) -> tuple[Envelope, ...]:
+        """What is to be sent now."""
+        out, self._out = tuple(self._out), []
+        return out
+
+    def forget(self, tick: int) -> None:
+        """Drop what is long past at a tick."""
+        last = tick - KEPT_TICKS
+        for letters in (self._intents, self._shares):
+            for old in [t for t in letters if t < last]:
+                del letters[old]
+        for keys in (self._passed, self._taken):
+            keys -= {key for key in keys if key[0] < last}

@@ -1,0 +1,145 @@
+"""What a scan says about the cells around a robot: an inverse sensor model, beam by beam."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.codes import FREE, OCCUPIED, UNKNOWN
+from marl_explore.robot.geometry import Cell, Frame
+from marl_explore.robot.messages import Pose, Scan
+
+Floats = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class BeamModel:
+    """How beams vote for cells."""
+
+    entry_tolerance: float = 0.12
+    """Most difference of a return from where its beam enters the cell it votes for (metres)."""
+    margin: float = 0.08
+    """Beams that only graze the rim of a cell, so wide, do not vote for it (metres)."""
+    robot_radius: float = 0.16
+    """Returns this near to a known robot are its body (metres)."""
+    votes: int = 3
+    """Fewest votes that decide a cell."""
+
+
+def sight(
+    scan: Scan,
+    pose: Pose,
+    others: Iterable[Pose],
+    frame: Frame,
+    radius: int,
+    model: BeamModel | None = None,
+) -> NDArray[np.int8]:
+    """What stands in the square around a robot, row 0 north.
+
+    Faces of obstacles lie on borders of cells, so a return votes for the cell whose border its
+    beam enters there, and its beam votes against the cells it has gone through before.
+
+    Args:
+        scan: one turn of the lidar.
+        pose: of the robot, when the scan was taken.
+        others: poses of other robots then.
+        frame: the arena's grid.
+        radius: half side k of the square (cells).
+        model: how beams vote.
+
+    Returns:
+        int8 [2k + 1, 2k + 1]: unknown, free (also where a robot stands) or occupied. Outside of
+        the arena it is unknown, and so is a diagonal cell behind two obstacles.
+    """
+    model = model or BeamModel()
+    others = list(others)
+    cells = square(frame.cell(pose.x, pose.y), radius)
+    centres = np.array([frame.centre(cell) for cell in cells]) - (pose.x, pose.y)
+    distance, returned, heading = _beams(scan, pose)
+    side = 2 * radius + 1
+    votes_for, votes_against = _votes(centres, heading, distance, frame.cell_size, model)
+    votes_for &= returned & ~_on_robots(distance, heading, pose, others, model.robot_radius)
+    hits, misses = votes_for.sum(-1), votes_against.sum(-1)
+    seen = np.full(len(cells), UNKNOWN, np.int8)
+    seen[(misses >= model.votes) & (misses >= hits)] = FREE
+    seen[(hits >= model.votes) & (hits > misses)] = OCCUPIED
+    robots = {frame.cell(other.x, other.y) for other in others}
+    for index, cell in enumerate(cells):
+        if cell in robots:
+            seen[index] = FREE
+        if not frame.inside(cell):
+            seen[index] = UNKNOWN
+    seen[len(cells) // 2] = FREE
+    return _hide_corners(seen.reshape(side, side))
+
+
+def square(cell: Cell, radius: int) -> list[Cell]:
+    """The cells of the square around a cell, row by row."""
+    steps = range(-radius, radius + 1)
+    return [(cell[0] + row, cell[1] + column) for row in steps for column in steps]
+
+
+def hidden_corners(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The diagonal neighbours of the middle behind two occupied cells, bool like ``occupied``."""
+    hidden = np.zeros_like(occupied)
+    middle = len(occupied) // 2
+    for row in (-1, 1):
+        for column in (-1, 1):
+            beside = occupied[middle + row, middle] & occupied[middle, middle + column]
+            hidden[middle + row, middle + column] = beside
+    return hidden
+
+
+def _hide_corners(seen: NDArray[np.int8]) -> NDArray[np.int8]:
+    seen[hidden_corners(seen == OCCUPIED)] = UNKNOWN
+    return seen
+
+
+def _beams(scan: Scan, pose: Pose) -> tuple[Floats, NDArray[np.bool_], Floats]:
+    """Lengths [R] and headings [R, 2] of the beams that say something, and which came back."""
+    ranges = np.asarray(scan.ranges, np.float64)
+    nothing = (ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)
+    angle = pose.yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    says = nothing | (ranges > scan.range_min)
+    length = np.where(nothing, scan.range_max, ranges)[says]
+    heading = np.stack((np.cos(angle), np.sin(angle)), -1)[says]
+    return length, ~nothing[says], heading
+
+
+def _on_robots(
+    distance: Floats, heading: Floats, pose: Pose, others: list[Pose], radius: float
+) -> NDArray[np.bool_]:
+    """Beams [R] that end on a known robot."""
+    ends = heading * distance[:, None] + (pose.x, pose.y)
+    on = np.zeros(len(distance), bool)
+    for other in others:
+        on |= np.hypot(*(ends - (other.x, other.y)).T) < radius
+    return on
+
+
+def _votes(
+    centres: Floats, heading: Floats, distance: Floats, side: float, model: BeamModel
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which beams vote for and against cells, bool [C, R] each."""
+    enters, leaves = _crossings(centres, heading, side / 2)
+    error = np.abs(distance - enters)
+    error[(leaves - enters <= model.margin) | (enters <= 0)] = math.inf
+    best = np.zeros(error.shape, bool)
+    np.put_along_axis(best, error.argmin(0)[None], True, 0)  # the cell that fits best, only
+    votes_for = best & (error < model.entry_tolerance)
+    enters, leaves = _crossings(centres, heading, side / 2 - model.margin)
+    through = (leaves > enters) & (leaves > 0)
+    through &= distance > np.maximum(enters, 0) + 2 * model.margin
+    return votes_for, through & ~votes_for
+
+
+def _crossings(centres: Floats, heading: Floats, half: float) -> tuple[Floats, Floats]:
+    """How far along each beam the squares around centres are entered and left, [C, R] each."""
+    slope = np.where(np.abs(heading) < 1e-9, 1e-9, heading)[None]
+    low = (centres[:, None] - half) / slope
+    high = (centres[:, None] + half) / slope
+    return np.minimum(low, high).max(-1), np.maximum(low, high).min(-1)

@@ -1,0 +1,150 @@
+"""What a robot is told by its sensors and what robots tell each other, with the bytes it takes."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.codes import UNKNOWN
+from marl_explore.robot.geometry import Cell
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a robot is, in the arena's frame."""
+
+    stamp: float
+    """When that was measured (seconds)."""
+    robot: int
+    x: float
+    """East (metres)."""
+    y: float
+    """North (metres)."""
+    yaw: float
+    """Heading, 0 east and counter-clockwise (radians)."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One turn of a robot's lidar, as ROS's LaserScan has it."""
+
+    stamp: float
+    """When it was measured (seconds)."""
+    ranges: NDArray[np.floating]
+    """Distances [R] (metres); 0, inf and NaN are no return."""
+    angle_min: float = 0.0
+    """Angle of the first beam in the robot's frame, 0 ahead (radians)."""
+    angle_increment: float = 2 * np.pi / 360
+    """From one beam to the next, counter-clockwise (radians)."""
+    range_min: float = 0.12
+    """Shorter ranges say nothing (metres)."""
+    range_max: float = 3.5
+    """Longer ranges are no return (metres)."""
+
+
+@dataclass(frozen=True)
+class Intent:
+    """What a robot is about to do, told before it does it."""
+
+    robot: int
+    tick: int
+    cell: Cell
+    """Where it starts from."""
+    action: int
+    upright: bool = False
+    """Whether its diagonal can go by the cell north or south of it first."""
+    sideways: bool = False
+    """Whether its diagonal can go by the cell east or west of it first."""
+
+    _FORMAT = struct.Struct("<BBIhhBB")
+
+    def encode(self) -> bytes:
+        """Twelve bytes."""
+        sides = self.upright | self.sideways << 1
+        return self._FORMAT.pack(1, self.robot, self.tick, *self.cell, self.action, sides)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Intent:
+        """The intent that was encoded."""
+        _, robot, tick, row, column, action, sides = cls._FORMAT.unpack(data)
+        return cls(robot, tick, (row, column), action, bool(sides & 1), bool(sides & 2))
+
+
+@dataclass(frozen=True)
+class Share:
+    """A communicating robot's map; members of its network pass it on."""
+
+    robot: int
+    """Whose map it is."""
+    tick: int
+    map: NDArray[np.int8]
+    """int8 [H, W]."""
+
+    _FORMAT = struct.Struct("<BBIHH")
+
+    def encode(self) -> bytes:
+        """Ten bytes, and two bits for every cell."""
+        height, width = self.map.shape
+        codes = (self.map - UNKNOWN).astype(np.uint8)
+        bits = np.packbits(np.stack((codes & 1, codes >> 1)).astype(bool))
+        return self._FORMAT.pack(2, self.robot, self.tick, height, width) + bits.tobytes()
+
+    @classmethod
+    def decode(cls, data: bytes) -> Share:
+        """The share that was encoded."""
+        _, robot, tick, height, width = cls._FORMAT.unpack_from(data)
+        packed = np.frombuffer(data, np.uint8, offset=cls._FORMAT.size)
+        low, high = np.unpackbits(packed, count=2 * height * width).reshape(2, height, width)
+        return cls(robot, tick, (low + 2 * high).astype(np.int8) + np.int8(UNKNOWN))
+
+
+@dataclass(frozen=True)
+class Done:
+    """A robot is through with a tick; it goes to all, as part of the shared clock."""
+
+    robot: int
+    tick: int
+
+    _FORMAT = struct.Struct("<BBI")
+
+    def encode(self) -> bytes:
+        """Six bytes."""
+        return self._FORMAT.pack(3, self.robot, self.tick)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Done:
+        """The message that was encoded."""
+        return cls(*cls._FORMAT.unpack(data)[1:])
+
+
+Message = Intent | Share | Done
+_KINDS: dict[int, type[Intent] | type[Share] | type[Done]] = {1: Intent, 2: Share, 3: Done}
+
+
+def decode(data: bytes) -> Message:
+    """The message that was encoded.
+
+    Raises:
+        ValueError: when it is none.
+    """
+    kind = _KINDS.get(data[0]) if data else None
+    if kind is None:
+        raise ValueError(f"these {len(data)} bytes are no message: {data[:8]!r}")
+    try:
+        return kind.decode(data)
+    except (struct.error, ValueError) as error:
+        raise ValueError(f"broken message {kind.__name__}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A message on its way."""
+
+    sender: int
+    """Who sends it, which for a passed on share is not whose map it is."""
+    to: tuple[int, ...]
+    """Who is to get it."""
+    message: Message

@@ -1,0 +1,140 @@
+"""What a robot decides on: FOV, FPR, NET and the action mask, from its map and the poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.codes import (
+    COMMUNICATE,
+    COMPASS,
+    FREE,
+    NUM_ACTIONS,
+    OCCUPIED,
+    STAY,
+    UNKNOWN,
+    Normalization,
+)
+from marl_explore.config import TOLERANCE, ArenaConfig
+from marl_explore.robot.frontier import feature_table
+from marl_explore.robot.geometry import Cell
+from marl_explore.robot.knowledge import Knowledge, Map
+from marl_explore.robot.mapper import hidden_corners
+
+
+class Observation(NamedTuple):
+    """One robot's entries of ``ExplorationEnv``, without batch and robot dimensions."""
+
+    fov: NDArray[np.float32]
+    """[2k + 1, 2k + 1]; 1 where there is an obstacle, a robot, the outside, or nothing known."""
+    fpr: NDArray[np.float32]
+    """[8, 3]."""
+    net: NDArray[np.float32]
+    """[N]."""
+    action_mask: NDArray[np.bool_]
+    """[10]."""
+    map: Map
+    """int8 [H, W]."""
+    position: Cell
+    unshared: NDArray[np.int64]
+    """[N]."""
+    steps_since_merge: NDArray[np.int64]
+    """[N]."""
+
+
+def in_range(cell: Cell, other: Cell, range_cells: float) -> bool:
+    """Whether two cells are at most so far apart (cells; may be infinite)."""
+    squared = (cell[0] - other[0]) ** 2 + (cell[1] - other[1]) ** 2
+    return squared <= (range_cells + TOLERANCE) ** 2
+
+
+def observe(
+    knowledge: Knowledge, cells: Mapping[int, Cell], config: ArenaConfig, fpr: Normalization | None
+) -> Observation:
+    """The observation of the robot whose knowledge it is.
+
+    Args:
+        knowledge: after sensing and merging.
+        cells: where the robots are whose poses are known, its own among them.
+        config: sizes and ranges.
+        fpr: normalisation of the frontier table.
+    """
+    robot = knowledge.robot
+    cell = cells[robot]
+    others = {other: place for other, place in cells.items() if other != robot}
+    codes = _around(knowledge.map, cell, config.fov_radius)
+    net = np.zeros(config.num_agents, np.float32)
+    net[robot] = 1
+    for other, place in others.items():
+        net[other] = in_range(cell, place, config.communication_cells)
+    return Observation(
+        fov=_field_of_view(codes, cell, others),
+        fpr=feature_table(knowledge.map, cell, fpr),
+        net=net,
+        action_mask=_action_mask(codes, cell, others, net),
+        map=knowledge.map.copy(),
+        position=cell,
+        unshared=knowledge.unshared.copy(),
+        steps_since_merge=knowledge.steps_since_merge.copy(),
+    )
+
+
+def _around(grid: Map, cell: Cell, radius: int) -> Map:
+    """Codes of the square around a cell, UNKNOWN outside, int8 [2k + 1, 2k + 1]."""
+    padded = np.pad(grid, radius, constant_values=UNKNOWN)
+    row, column = cell
+    side = 2 * radius + 1
+    return padded[row : row + side, column : column + side]
+
+
+def _field_of_view(codes: Map, cell: Cell, others: Mapping[int, Cell]) -> NDArray[np.float32]:
+    blocked = (codes != FREE) | hidden_corners(codes == OCCUPIED)
+    middle = len(codes) // 2
+    for place in others.values():
+        row, column = place[0] - cell[0] + middle, place[1] - cell[1] + middle
+        if 0 <= row < len(codes) and 0 <= column < len(codes):
+            blocked[row, column] = True
+    blocked[middle, middle] = False
+    return blocked.astype(np.float32)
+
+
+def open_sides(codes: Map, action: int) -> tuple[bool, bool]:
+    """Whether the cells beside a diagonal, north or south and east or west of it, are free.
+
+    Args:
+        codes: around the robot, int8 [2k + 1, 2k + 1].
+        action: any; only diagonals have open sides.
+    """
+    if action >= STAY or action % 2 == 0:
+        return False, False
+    middle = len(codes) // 2
+    up, side = COMPASS[action]
+    return bool(codes[middle + up, middle] == FREE), bool(codes[middle, middle + side] == FREE)
+
+
+def sides_of(observation: Observation, config: ArenaConfig, action: int) -> tuple[bool, bool]:
+    """``open_sides`` of the robot's own cell."""
+    return open_sides(_around(observation.map, observation.position, config.fov_radius), action)
+
+
+def _action_mask(
+    codes: Map, cell: Cell, others: Mapping[int, Cell], net: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    mask = np.zeros(NUM_ACTIONS, bool)
+    mask[STAY], mask[COMMUNICATE] = True, net.sum() > 1
+    middle = len(codes) // 2
+    held = set(others.values())
+    for action, (up, side) in enumerate(COMPASS):
+        shut = codes[middle + up, middle] == OCCUPIED == codes[middle, middle + side]
+        free = codes[middle + up, middle + side] == FREE
+        mask[action] = free and not shut and (cell[0] + up, cell[1] + side) not in held
+    return mask
+
+
+def complete(observation: Observation) -> bool:
+    """Whether no frontier of the robot's map can be reached."""
+    return math.isclose(float(observation.fpr[:, 0].sum()), 0)

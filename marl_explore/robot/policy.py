@@ -1,0 +1,163 @@
+"""A trained robot's network by numpy, from the .npz file that ``marl_explore.export`` writes."""
+
+from __future__ import annotations
+
+import copy
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.codes import COMMUNICATE, Normalization
+from marl_explore.config import ArenaConfig
+from marl_explore.robot.observation import Observation
+
+FORMAT = "marl_explore.actors/1"
+Array = NDArray[np.float32]
+Weights = Mapping[str, Array]
+_EPSILON = 1e-5  # of torch's layer normalisation
+_NEVER = -1e4
+
+
+class ExportedPolicy:
+    """One robot's actor: logits by numpy, then a masked choice.
+
+    Called with an ``Observation`` it returns an action.
+
+    Args:
+        path: an exported .npz file.
+        robot: whose actor to take.
+        sample: whether actions are drawn with the policy's probabilities; False: the likeliest,
+            with which a robot without memory can repeat a refused move for ever.
+        seed: of the drawn actions.
+
+    Raises:
+        ValueError: when the file is no exported policy, or has no such robot.
+    """
+
+    def __init__(self, path: str | Path, robot: int, sample: bool = True, seed: int = 0) -> None:
+        self.spec, weights = _read(Path(path))
+        self.arena = ArenaConfig(**self.spec["arena"])
+        self.fpr: Normalization | None = self.spec["fpr"]
+        if not 0 <= robot < self.arena.num_agents:
+            raise ValueError(
+                f"robot={robot!r} is not allowed: {path} has actors of {self.arena.num_agents}"
+            )
+        prefix = f"{robot}."
+        self._weights = {
+            name.removeprefix(prefix).removeprefix("actor."): array
+            for name, array in weights.items()
+            if name.startswith(prefix)
+        }
+        self._without = frozenset(self.spec["without"])
+        self._logits = _cnn if self.spec["architecture"] == "cnn" else _mlp
+        self._chance = np.random.default_rng([seed, robot]) if sample else None
+
+    def __call__(self, observation: Observation) -> int:
+        """An allowed action."""
+        logits = self.masked_logits(
+            observation.fov, observation.fpr, observation.net, observation.action_mask
+        )
+        if self._chance is None:
+            return int(logits.argmax())
+        return int((logits + self._chance.gumbel(size=logits.shape)).argmax())
+
+    def with_seed(self, seed: int | Sequence[int]) -> ExportedPolicy:
+        """The same actor, drawing its actions by another seed; the weights are shared."""
+        other = copy.copy(self)
+        if self._chance is not None:
+            other._chance = np.random.default_rng(seed)
+        return other
+
+    def masked_logits(
+        self, fov: Array, fpr: Array, net: Array, action_mask: NDArray[np.bool_]
+    ) -> Array:
+        """Logits float32 [*B, 10], minus infinity where an action is not allowed.
+
+        Args:
+            fov: [*B, 2k + 1, 2k + 1].
+            fpr: [*B, 8, 3].
+            net: [*B, N].
+            action_mask: bool [*B, 10].
+        """
+        inputs = {"fov": fov, "fpr": fpr, "net": net}
+        for name in self._without & inputs.keys():
+            inputs[name] = np.zeros_like(inputs[name])
+        logits = self._logits(self._weights, **inputs)
+        if "communication" in self._without:
+            logits[..., COMMUNICATE] = _NEVER
+        return np.where(action_mask, logits, np.float32(-np.inf))
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        spec = json.loads(str(arrays.pop("spec")))
+        if spec.get("format") != FORMAT:
+            raise ValueError(f"its format is {spec.get('format')!r}, expected {FORMAT!r}")
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not an exported policy: {error}") from error
+    return spec, arrays
+
+
+def _layers(weights: Weights, prefix: str) -> list[str]:
+    """Names of a sequence's layers with weights, in their order."""
+    own = [name.removeprefix(f"{prefix}.") for name in weights if name.startswith(f"{prefix}.")]
+    return [f"{prefix}.{number}" for number in sorted({int(name.split(".")[0]) for name in own})]
+
+
+def _flat(array: Array, dims: int) -> Array:
+    return array.reshape(*array.shape[: array.ndim - dims], -1)
+
+
+def _linear(weights: Weights, name: str, inputs: Array) -> Array:
+    outputs: Array = inputs @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+    return outputs
+
+
+def _mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
+    """``models.MLPActor``: its layers by their shapes, ReLU after each linear one but the last."""
+    values = np.concatenate((_flat(fov, 2), _flat(fpr, 2), net), -1)
+    names = _layers(weights, "layers")
+    for name in names:
+        if weights[f"{name}.weight"].ndim == 1:
+            values = _normalized(values) * weights[f"{name}.weight"] + weights[f"{name}.bias"]
+            continue
+        values = _linear(weights, name, values)
+        if name != names[-1]:
+            values = np.maximum(values, 0)
+    return values
+
+
+def _normalized(values: Array) -> Array:
+    centred: Array = values - values.mean(-1, keepdims=True)
+    return centred / np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(_EPSILON))
+
+
+def _cnn(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
+    """``models.CNNActor``: convolutions on FOV, layers on FPR and NET, then the head."""
+    image = fov[..., None, :, :]
+    *convolutions, last = _layers(weights, "encoder.fov")
+    for name in convolutions:
+        image = _convolved(image, weights[f"{name}.weight"], weights[f"{name}.bias"])
+        image = np.maximum(image, 0)
+    parts = (
+        _linear(weights, last, _flat(image, 3)),
+        _linear(weights, "encoder.fpr.0", _flat(fpr, 2)),
+        _linear(weights, "encoder.net.0", net),
+    )
+    values = np.maximum(np.concatenate(parts, -1), 0)
+    return _linear(weights, "head.2", np.maximum(_linear(weights, "head.0", values), 0))
+
+
+def _convolved(image: Array, kernel: Array, bias: Array) -> Array:
+    """3 x 3 kernels [O, I, 3, 3] over [*B, I, H, W], with a border of zeros: [*B, O, H, W]."""
+    border = [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)]
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, border), (3, 3), (-2, -1))
+    summed: Array = np.einsum("...ihwyx,oiyx->...ohw", windows, kernel, optimize=True)
+    return summed + bias[:, None, None]

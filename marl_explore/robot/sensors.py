@@ -1,0 +1,73 @@
+"""The latest scan and everybody's latest poses, and how old they are."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from marl_explore.robot.geometry import Cell, Frame
+from marl_explore.robot.messages import Pose, Scan
+
+_KEPT = 64
+
+
+class Sensors:
+    """What a robot has been told of the world.
+
+    Args:
+        robot: whose sensors they are.
+        max_pose_age: an older pose is none (seconds).
+        max_scan_age: an older scan is none (seconds).
+    """
+
+    def __init__(self, robot: int, max_pose_age: float, max_scan_age: float) -> None:
+        self.robot = robot
+        self.max_pose_age, self.max_scan_age = max_pose_age, max_scan_age
+        self.scan: Scan | None = None
+        self._poses: dict[int, deque[Pose]] = {}
+
+    def add_scan(self, scan: Scan) -> None:
+        """Take a scan; one that is overtaken by a later one is dropped."""
+        if self.scan is None or scan.stamp >= self.scan.stamp:
+            self.scan = scan
+
+    def add_pose(self, pose: Pose) -> None:
+        """Take a robot's pose; one that is overtaken by a later one is dropped."""
+        poses = self._poses.setdefault(pose.robot, deque(maxlen=_KEPT))
+        if not poses or pose.stamp >= poses[-1].stamp:
+            poses.append(pose)
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the robot itself was last."""
+        poses = self._poses.get(self.robot)
+        return poses[-1] if poses else None
+
+    def fresh(self, now: float) -> bool:
+        """Whether neither the robot's pose nor its scan is too old to drive by."""
+        pose, scan = self.pose, self.scan
+        return (
+            pose is not None
+            and scan is not None
+            and now - pose.stamp <= self.max_pose_age
+            and now - scan.stamp <= self.max_scan_age
+        )
+
+    def at(self, stamp: float) -> dict[int, Pose]:
+        """The poses nearest to a time; robots without one that is near enough are left out."""
+        nearest = {
+            robot: min(poses, key=lambda pose: abs(pose.stamp - stamp))
+            for robot, poses in self._poses.items()
+        }
+        return {
+            robot: pose
+            for robot, pose in nearest.items()
+            if abs(pose.stamp - stamp) <= self.max_pose_age
+        }
+
+    def others(self) -> list[Pose]:
+        """Where the other robots were last, however long ago."""
+        return [poses[-1] for robot, poses in self._poses.items() if robot != self.robot]
+
+    def last_cells(self, frame: Frame) -> dict[int, Cell]:
+        """Cells of the other robots, however long ago."""
+        return {pose.robot: frame.cell(pose.x, pose.y) for pose in self.others()}

@@ -1,0 +1,55 @@
+"""ONNX graphs by a real onnxruntime: the same numbers as torch's and numpy's."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from marl_explore.export import INPUTS, OUTPUTS, example_inputs, export_npz, export_onnx
+from marl_explore.robot import ExportedPolicy
+from tests.test_export import expected
+from tests.test_policies import a_policy
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"
+)  # of the exporter's own
+
+
+def run(path, inputs):
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    named = {name: entry.numpy() for name, entry in zip(INPUTS, inputs, strict=True)}
+    return session.run(list(OUTPUTS), named)
+
+
+@pytest.mark.parametrize("without", [(), ("fpr", "communication")])
+@pytest.mark.parametrize("architecture", ["mlp", "cnn"])
+def test_onnxruntime_agrees_on_1000_observations(tmp_path, architecture, without):
+    policy = a_policy(architecture, without=without)
+    paths = export_onnx(policy, tmp_path / "new")
+    npz = export_npz(policy, tmp_path / "policy.npz")
+    assert [path.name for path in paths] == [f"robot_{i}.onnx" for i in range(4)]
+    for robot, path in enumerate(paths):
+        onnx.checker.check_model(path)
+        for rows in (1, 1000):
+            inputs = example_inputs(policy.spec.arena, rows, seed=robot)
+            action, logits = expected(policy, robot, inputs)
+            ours = run(path, inputs)
+            np.testing.assert_allclose(ours[1], logits, rtol=1e-5, atol=1e-4)
+            assert (ours[0] == action).mean() >= 0.999
+        by_numpy = ExportedPolicy(npz, robot).masked_logits(*(x.numpy() for x in inputs))
+        np.testing.assert_allclose(by_numpy, ours[1], rtol=1e-5, atol=1e-4)
+
+
+def test_a_graph_tells_what_it_is_and_what_it_lacks(tmp_path):
+    policy = a_policy(fpr="proximity")
+    model = onnx.load(export_onnx(policy, tmp_path)[3])
+    told = {entry.key: entry.value for entry in model.metadata_props}
+    assert told["robot"] == "3"
+    assert json.loads(told["spec"])["fpr"] == "proximity"
+    assert "to sample" in told["not in the graph"]
+    assert [entry.name for entry in model.graph.input] == list(INPUTS)
+    assert [entry.name for entry in model.graph.output] == list(OUTPUTS)

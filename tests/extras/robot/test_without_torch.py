@@ -1,0 +1,59 @@
+"""Robots run where numpy is all there is: an environment that holds nothing else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+CODE = """
+import importlib.util, math, sys
+for name in ("torch", "tensordict", "torchrl", "scipy"):
+    assert importlib.util.find_spec(name) is None, name
+import numpy as np
+from marl_explore import ArenaConfig
+from marl_explore.robot import BarrierClock, ExportedPolicy, Pose, RobotCore, Scan
+policy = ExportedPolicy(sys.argv[1], robot=0)
+core = RobotCore(0, ArenaConfig(num_agents=2), policy, BarrierClock([0]), fpr=policy.fpr)
+core.advance(0.0)
+core.receive(Pose(1.0, 0, 0.25, 0.25, 0.0), 1.0)
+core.receive(Scan(1.0, np.zeros(360)), 1.0)
+core.advance(1.0)
+assert core.knowledge.known == 9 and (core.knowledge.map != 1).all()
+print(core.observation.fpr[:, 0].sum(), core.action)
+"""
+
+
+@pytest.fixture(scope="module")
+def bare_python(tmp_path_factory):
+    """An interpreter with numpy and nothing else."""
+    folder = tmp_path_factory.mktemp("bare")
+    venv.create(folder, with_pip=True)
+    python = folder / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "-q", "numpy"], check=True)
+    return python
+
+
+def test_a_robot_decides_without_torch(bare_python, tmp_path):
+    from marl_explore import ArenaConfig
+    from marl_explore.export import export_npz
+    from marl_explore.policies import Policy, PolicySpec
+
+    spec = PolicySpec(ArenaConfig(num_agents=2), "mlp", (16,), "proximity")
+    path = export_npz(Policy(spec, spec.make_actors()), tmp_path / "policy.npz")
+    done = subprocess.run(
+        [bare_python, "-c", CODE, path],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    share, action = done.stdout.split()
+    assert float(share) == 1
+    assert 0 <= int(action) <= 9
+    assert sys.version_info >= (3, 10)

@@ -1,0 +1,297 @@
+"""What a robot does when things go wrong: old data, lost messages, dead and late robots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from marl_explore import ArenaConfig
+from marl_explore.robot import BarrierClock, PeriodClock, Pose, RobotCore, Settings
+from marl_explore.robot.driving import ZERO
+from marl_explore.robot.messages import Done, Intent, Share
+from tests.boards import ACTIONS, arena
+from tests.robot.world import PATIENT, RADIUS, World, scan_of, scripted
+
+STAY, TALK = ACTIONS.index("stay"), ACTIONS.index("talk")
+
+
+def world_of(board, scripts, **options):
+    obstacles, cells = arena(board)
+    config = ArenaConfig(*obstacles.shape, 0.0, num_agents=len(cells))
+    policies = [scripted([ACTIONS.index(name) for name in script.split()]) for script in scripts]
+    options = {"settings": PATIENT} | options
+    return World(config, obstacles.numpy(), cells.tolist(), policies, **options)
+
+
+def cells(world):
+    return [world.frame.cell(pose.x, pose.y) for pose in world.poses]
+
+
+OPEN = """
+    ......
+    .0..1.
+    ......
+    ......
+"""
+
+
+def test_a_team_drives_to_the_cells_it_meant():
+    world = world_of(OPEN, ["S NE stay", "SW stay S"])
+    world.run(3)
+    assert cells(world) == [(1, 2), (3, 3)]
+
+
+def test_moves_to_one_cell_are_refused():
+    world = world_of(OPEN, ["S E", "SW W"])
+    world.run(2)
+    assert cells(world) == [(2, 1), (2, 3)]
+
+
+# ---------------------------------------------------------------- old poses and scans
+
+
+def driving_robot(**ages):
+    """A robot alone, under way east at time 1."""
+    obstacles, positions = arena("....\n.0..\n....")
+    config = ArenaConfig(3, 4, 0.0, num_agents=1)
+    settings = Settings(max_pose_age=0.5, max_scan_age=1.0)
+    core = RobotCore(0, config, scripted([2]), BarrierClock([0]), settings=settings)
+    pose = Pose(1.0, 0, *core.frame.centre(tuple(positions[0].tolist())), 0.0)
+    core.advance(1.0)
+    core.receive(pose, 1.0)
+    core.receive(scan_of(obstacles.numpy(), core.frame, pose), 1.0)
+    assert core.advance(1.0).velocity.forward > 0
+    return core, pose
+
+
+def test_an_old_pose_stops_a_robot_until_a_new_one_comes():
+    core, pose = driving_robot()
+    assert core.advance(1.5).velocity.forward > 0
+    assert core.advance(1.51).velocity == ZERO
+    core.receive(replace(pose, stamp=1.6), 1.6)
+    assert core.advance(1.6).velocity.forward > 0
+
+
+def test_an_old_scan_stops_a_robot_until_a_new_one_comes():
+    core, pose = driving_robot()
+    for now in (1.9, 2.0, 2.01):
+        core.receive(replace(pose, stamp=now), now)
+        assert (core.advance(now).velocity == ZERO) is (now > 2.0)
+    core.receive(replace(core.sensors.scan, stamp=2.1), 2.1)
+    core.receive(replace(pose, stamp=2.1), 2.1)
+    assert core.advance(2.1).velocity.forward > 0
+
+
+def test_a_pose_that_was_overtaken_is_dropped():
+    core, pose = driving_robot()
+    core.receive(replace(pose, stamp=1.2, x=0.7), 1.2)
+    core.receive(replace(pose, stamp=1.1, x=-9.0), 1.2)
+    assert core.sensors.pose.x == 0.7
+
+
+def test_a_scan_is_read_with_the_pose_of_its_time():
+    obstacles, positions = arena("....\n.0..\n....")
+    config = ArenaConfig(3, 4, 0.0, num_agents=1)
+    core = RobotCore(0, config, scripted([]), BarrierClock([0]))
+    core.advance(0.0)
+    right = Pose(1.0, 0, *core.frame.centre(tuple(positions[0].tolist())), 0.5)
+    core.receive(right, 1.4)
+    core.receive(replace(right, stamp=1.4, yaw=2.0), 1.4)
+    core.receive(scan_of(obstacles.numpy(), core.frame, right), 1.4)
+    core.advance(1.4)
+    assert core.knowledge.known == 9
+    assert (core.knowledge.map != 1).all()
+
+
+def test_without_a_pose_near_the_scan_nothing_is_sensed():
+    core = RobotCore(0, ArenaConfig(3, 3, 0.0, num_agents=1), scripted([]), BarrierClock([0]))
+    core.advance(0.0)
+    pose = Pose(1.0, 0, 0.0, 0.0, 0.0)
+    core.receive(pose, 1.0)
+    core.receive(scan_of(np.zeros((3, 3), bool), core.frame, pose, stamp=1.6), 1.6)
+    core.advance(1.6)
+    assert core.observation is None
+
+
+# ---------------------------------------------------------------- messages
+
+
+def test_maps_are_merged_after_a_communication_and_bytes_are_counted():
+    world = world_of(OPEN, ["talk", "talk"])
+    world.run(1)
+    assert [core.knowledge.known for core in world.cores] == [18, 18]
+    core = world.cores[0]
+    assert core.mail.sent["share"] == 1
+    assert core.mail.sent_bytes["share"] == 10 + 24 * 2 / 8
+    assert core.mail.sent_bytes["intent"] == 12 * core.mail.sent["intent"]
+
+
+def test_maps_travel_along_chains():
+    """Robots 0 and 2 are out of each other's range (6.4 cells)."""
+    world = world_of("." * 16 + "\n.0....1....2....\n" + "." * 16, ["talk"] * 3)
+    world.run(1)
+    assert [core.knowledge.known for core in world.cores] == [27] * 3
+    assert world.cores[0].knowledge.steps_since_merge.tolist() == [0, 0, 0]
+
+
+def test_intents_and_maps_stay_within_range():
+    sent = []
+    world = world_of(
+        "." * 16 + "\n.0....1....2....\n" + "." * 16,
+        ["talk"] * 3,
+        lost=lambda envelope: sent.append(envelope),
+    )
+    for _ in range(3):
+        world.step()
+    pairs = {(e.sender, to) for e in sent if not isinstance(e.message, Done) for to in e.to}
+    assert pairs == {(0, 1), (1, 0), (1, 2), (2, 1)}
+
+
+def test_who_does_not_communicate_gets_no_map():
+    world = world_of(OPEN, ["talk", "stay"])
+    world.run(1)
+    assert [core.knowledge.known for core in world.cores] == [9, 9]
+    assert world.cores[0].mail.sent["share"] == 0
+
+
+def test_lost_maps_cost_time_and_nothing_else():
+    world = world_of(
+        OPEN, ["talk S", "talk S"], lost=lambda envelope: isinstance(envelope.message, Share)
+    )
+    world.run(2)
+    assert cells(world) == [(2, 1), (2, 4)]
+    assert [core.knowledge.known for core in world.cores] == [12, 12]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_lost_messages_stop_nobody_and_nobody_touches(share):
+    chance = np.random.default_rng(1)
+
+    def lost(envelope):
+        return chance.random() < share
+
+    drawn = np.random.default_rng(2)
+    names = [" ".join(ACTIONS[a] for a in drawn.integers(0, 10, 8)) for _ in range(4)]
+    world = world_of(
+        "......\n.0.1..\n......\n..2.3.\n......",
+        names,
+        lost=lost,
+        make_clock=lambda: BarrierClock(range(4), patience=15),
+    )
+    world.run(8)
+    assert world.closest > 2 * RADIUS
+
+
+# ---------------------------------------------------------------- robots that die or come late
+
+
+def test_a_robot_that_dies_does_not_stop_the_others():
+    world = world_of(
+        OPEN,
+        ["S E stay stay", "S stay stay"],
+        make_clock=lambda: BarrierClock(range(2), patience=5),
+    )
+    world.run(1)
+    world.dead.add(1)
+    world.run(4)
+    assert cells(world) == [(2, 2), (2, 4)]
+    assert world.now < 30
+
+
+def test_a_held_cell_is_waited_for_no_longer_than_a_lock_lasts():
+    """Robot 1 dies in the cell that robot 0 needs for its diagonal."""
+    board = "...\n.1.\n.0#"
+    world = world_of(board, ["NE", "N"], make_clock=lambda: BarrierClock(range(2), patience=60))
+    world.run(0)
+    world.dead.add(1)
+    while (
+        world.cores[0].tick == 0 and world.now < 50 and world.cores[0]._phase.__name__ != "_begin"
+    ):
+        world.step()
+    assert PATIENT.lock_expiry < world.now < PATIENT.lock_expiry + 2
+    assert cells(world) == [(2, 1), (1, 1)]
+    assert world.closest > 2 * RADIUS
+
+
+def test_a_robot_that_comes_late_joins():
+    world = world_of(
+        OPEN, ["S stay stay stay stay", "S"], make_clock=lambda: BarrierClock(range(2), patience=3)
+    )
+    world.dead.add(1)
+    world.run(3)
+    world.dead.clear()
+    world.run(80)  # meanwhile robot 0 stays, tick after tick
+    assert cells(world) == [(2, 1), (2, 4)]
+
+
+# ---------------------------------------------------------------- clocks, limits, the end
+
+
+def test_a_period_clock_needs_no_agreement():
+    sent = []
+    world = world_of(
+        OPEN,
+        ["S S", "S stay S"],
+        make_clock=lambda: PeriodClock(8.0),
+        lost=lambda envelope: sent.append(envelope.message),
+    )
+    world.lost = lambda envelope: bool(sent.append(envelope.message))
+    world.run(2)
+    assert cells(world) == [(3, 1), (2, 4)]
+    assert not any(isinstance(message, Done) for message in sent)
+
+
+def test_who_is_late_for_a_tick_tells_where_it_ends():
+    sent = []
+    world = world_of(OPEN, ["S", "stay"], make_clock=lambda: PeriodClock(2.0))
+    world.lost = lambda envelope: bool(sent.append(envelope.message))
+    world.run(3)
+    late = [m for m in sent if isinstance(m, Intent) and (m.robot, m.tick) == (0, 1)]
+    assert [(m.cell, m.action) for m in late] == [((2, 1), STAY)]
+    assert cells(world)[0] == (2, 1)
+
+
+def test_with_no_frontier_left_a_robot_moves_no_more():
+    moved = world_of("...\n.0.\n...", ["S S"])
+    moved.run(1)
+    assert cells(moved) == [(2, 1)]
+    patient = replace(PATIENT, stop_when_complete=True)
+    stopped = world_of("...\n.0.\n...", ["S S"], settings=patient)
+    stopped.run(1)
+    assert cells(stopped) == [(1, 1)]
+    assert stopped.cores[0].is_complete
+
+
+def test_a_move_that_is_not_allowed_is_not_made():
+    world = world_of("...\n#0.\n...", ["W NW"])
+    world.run(1)
+    assert cells(world) == [(1, 1)]
+
+
+@pytest.mark.parametrize(
+    ("config", "robot", "message"),
+    [
+        (ArenaConfig(communication_range=1.4), 0, r"communication_range=1.4 .*1\.414 m"),
+        (ArenaConfig(), 4, "robot=4 is not allowed: 0 to 3"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(config, robot, message):
+    with pytest.raises(ValueError, match=message):
+        RobotCore(robot, config, scripted([]), BarrierClock(range(4)))
+
+
+@pytest.mark.parametrize("name", ["max_pose_age", "max_scan_age", "lock_expiry"])
+def test_times_must_be_positive(name):
+    with pytest.raises(ValueError, match=f"{name}=0"):
+        Settings(**{name: 0})
+
+
+def test_an_action_that_is_none_is_refused():
+    world = world_of(OPEN, ["stay", "stay"])
+    world.cores[1].policy = lambda observation: 10
+    with pytest.raises(ValueError, match="action 10 is none of 0 to 9"):
+        world.run(1)
+    assert math.isfinite(world.now)

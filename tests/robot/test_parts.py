@@ -1,0 +1,176 @@
+"""The small parts of a robot, by known answers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, decode
+from marl_explore.robot.driving import ZERO, Drive
+from marl_explore.robot.geometry import Frame, wrapped
+from marl_explore.robot.knowledge import Knowledge, union
+from marl_explore.robot.mailbox import Mailbox
+from marl_explore.robot.messages import Done, Intent, Share
+from marl_explore.robot.observation import in_range
+from tests.boards import map_cells
+from tests.strategies import repeatable
+
+# ---------------------------------------------------------------- geometry
+
+
+def test_row_0_is_north_and_the_origin_in_the_middle():
+    frame = Frame(12, 12, 0.5)
+    assert frame.centre((0, 0)) == (-2.75, 2.75)
+    assert frame.centre((11, 0)) == (-2.75, -2.75)
+    assert frame.centre((0, 11)) == (2.75, 2.75)
+    assert frame.cell(0.1, -0.1) == (6, 6)
+    assert not frame.inside(frame.cell(3.01, 0))
+
+
+@repeatable(max_examples=50)
+@given(st.integers(1, 30), st.integers(1, 30), st.floats(0.1, 2), st.data())
+def test_the_centre_of_a_cell_lies_in_it(height, width, size, data):
+    frame = Frame(height, width, size)
+    cell = (data.draw(st.integers(0, height - 1)), data.draw(st.integers(0, width - 1)))
+    assert frame.cell(*frame.centre(cell)) == cell
+
+
+def test_angles_wrap():
+    assert wrapped(3 * math.pi / 2) == pytest.approx(-math.pi / 2)
+
+
+def test_ranges_have_the_tolerance_of_the_rules():
+    assert in_range((0, 0), (3, 0), 0.3 / 0.1)
+    assert not in_range((0, 0), (3, 1), 3)
+    assert in_range((0, 0), (99, 99), math.inf)
+
+
+# ---------------------------------------------------------------- messages
+
+
+@pytest.mark.parametrize(
+    ("message", "size"),
+    [
+        (Intent(3, 70_000, (-1, 500), 9, True, False), 12),
+        (Intent(0, 0, (0, 0), 1, False, True), 12),
+        (Done(2, 9), 6),
+    ],
+)
+def test_messages_come_back_from_their_bytes(message, size):
+    assert decode(message.encode()) == message
+    assert len(message.encode()) == size
+
+
+def test_a_map_comes_back_from_its_bytes():
+    grid = map_cells("?.#.?\n..##?\n#?..#").numpy()
+    data = Share(1, 5, grid).encode()
+    assert len(data) == 10 + math.ceil(15 / 4)
+    share = decode(data)
+    assert (share.robot, share.tick) == (1, 5)
+    assert np.array_equal(share.map, grid)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x09abc", b"\x01\x00", b"\x02" + bytes(9)[:-1]])
+def test_other_bytes_are_refused(data):
+    with pytest.raises(ValueError, match="message"):
+        decode(data)
+
+
+def test_a_map_is_passed_on_once_and_counted():
+    mail = Mailbox(0)
+    share = Share(2, 4, np.zeros((12, 12), np.int8))
+    mail.receive(Envelope(1, (0,), share))
+    mail.receive(Envelope(3, (0,), share))
+    for _ in range(2):
+        mail.pass_on(4, {1, 3})
+    (envelope,) = mail.collect()
+    assert (envelope.sender, envelope.to, envelope.message) == (0, (3,), share)
+    assert mail.sent == {"share": 1}
+    assert mail.sent_bytes == {"share": 46}
+    assert mail.shared(4, {5}) == {}  # from nobody it talks to
+    assert mail.take_shared(4, {1}).keys() == {2}
+    assert mail.take_shared(4, {1}) == {}
+
+
+# ---------------------------------------------------------------- knowledge
+
+
+def test_maps_only_grow_and_bookkeeping_follows_the_rules():
+    knowledge = Knowledge(0, 3, Frame(3, 3, 0.5))
+    corner = map_cells("???\n?..\n?#.").numpy()
+    assert knowledge.sense((0, 0), corner) == 4
+    assert knowledge.unshared.tolist() == [0, 4, 4]
+    assert knowledge.steps_since_merge.tolist() == [0, 1_000_000, 1_000_000]
+    other = map_cells("#..\n...\n...").numpy()
+    assert knowledge.merge({2: other}) == 5
+    assert np.array_equal(knowledge.map, map_cells("...\n#..\n...").numpy())
+    assert knowledge.unshared.tolist() == [0, 4, 0]
+    assert knowledge.sense((1, 1), map_cells("###\n###\n###").numpy()) == 0
+    assert knowledge.steps_since_merge.tolist() == [0, 1_000_000, 1]
+
+
+def test_the_union_of_maps():
+    maps = [map_cells(board).numpy() for board in ("?.?", "??#", "#.?")]
+    assert union(maps).tolist() == [[1, 0, 1]]
+
+
+# ---------------------------------------------------------------- driving
+
+
+def test_a_robot_turns_then_drives_then_stops():
+    drive = Drive()
+    assert drive.velocity(Pose(0, 0, 0, 0, 0), (0, 1), []) == (0, 2.0)
+    assert drive.velocity(Pose(0, 0, 0, 0, math.pi), (0, 1), []) == (0, -2.0)
+    assert drive.velocity(Pose(0, 0, 0, 0, math.pi / 2), (0, 1), []) == pytest.approx((0.2, 0))
+    assert drive.velocity(Pose(0, 0, 0, 0.98, 0), (0, 1), []) == ZERO
+
+
+def test_a_robot_ahead_is_waited_for_and_one_behind_is_not():
+    drive = Drive()
+    ahead, behind, far = (Pose(0, 1, x, 0, 0) for x in (0.3, -0.3, 0.4))
+    assert drive.velocity(Pose(0, 0, 0, 0, 0), (1, 0), [ahead]).forward == 0
+    assert drive.velocity(Pose(0, 0, 0, 0, 0), (1, 0), [behind, far]).forward == 0.2
+
+
+# ---------------------------------------------------------------- clocks
+
+
+def test_a_period_clock_reads_the_time():
+    clock = PeriodClock(2.0, start=10.0)
+    assert [clock.tick(now) for now in (9, 10, 11.9, 12, 21)] == [-1, 0, 0, 1, 5]
+    with pytest.raises(ValueError, match=r"period=0 .*positive"):
+        PeriodClock(0)
+
+
+def test_a_barrier_opens_when_all_are_through():
+    clock = BarrierClock(range(2))
+    assert clock.tick(0) == 0
+    clock.report(0, 0, 1)
+    assert clock.tick(1) == 0
+    clock.report(1, 0, 2)
+    assert clock.tick(2) == 1
+
+
+def test_a_barrier_gives_up_the_silent_and_takes_them_back():
+    clock = BarrierClock(range(2), patience=5)
+    assert clock.tick(0) == 0
+    clock.report(0, 0, 1)
+    assert clock.tick(5) == 0
+    assert clock.tick(5.1) == 1
+    clock.report(0, 1, 6)
+    assert clock.tick(6) == 2  # no longer waited for
+    clock.report(1, 2, 7)
+    clock.report(0, 2, 7)
+    assert clock.tick(7) == 3
+    clock.report(0, 3, 8)
+    assert clock.tick(8) == 3  # waited for again
+
+
+def test_who_comes_late_joins_the_others():
+    clock = BarrierClock(range(3))
+    clock.report(1, 40, 0)
+    assert clock.tick(0) == 40
