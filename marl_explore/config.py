@@ -148,11 +148,13 @@ def from_json(fields: Mapping[str, Any]) -> dict[str, Any]:
     return {**fields, **tuples, "arena": arena}
 
 
+Algorithm = Literal["happo", "mappo", "ippo"]
 Architecture = Literal["mlp", "cnn"]
 Ability = Literal["fov", "fpr", "net", "communication"]
 CriticInput = Literal["observation", "state"]
 Precision = Literal["float32", "bfloat16"]
 _CHOICES = {
+    "algorithm": get_args(Algorithm),
     "architecture": get_args(Architecture),
     "critic_reads": get_args(CriticInput),
     "precision": get_args(Precision),
@@ -175,6 +177,8 @@ class TrainConfig:
     """Reward: case1, case2, case2-literal or team."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"
     """Normalisation of the frontier table."""
+    algorithm: Algorithm = "happo"
+    """Actors in turn (happo), one actor that all share (mappo), or each learning alone (ippo)."""
     architecture: Architecture = "mlp"
     """Networks of actors and critic."""
     hidden: tuple[int, ...] = (2400, 300)
@@ -248,6 +252,12 @@ class TrainConfig:
             _require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
         _require(
             self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
+        )
+        _require(
+            self.algorithm != "ippo" or self.critic_reads == "observation",
+            "critic_reads",
+            self.critic_reads,
+            "ippo's critics read their own robot's observation",
         )
         require_coverage("terminate_at_coverage", self.terminate_at_coverage)
         for name in ("gamma", "lmbda"):

@@ -103,8 +103,8 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for robot, actor in enumerate(policy.actors):
-        model = _graph(Deployed(actor).float().eval(), policy.spec.arena)
+    for robot in range(policy.spec.arena.num_agents):
+        model = _graph(Deployed(policy.actor_of(robot)).float().eval(), policy.spec.arena)
         described = {
             "spec": spec_text(policy),
             "robot": str(robot),

@@ -87,17 +87,28 @@ class MLPActor(nn.Module):
 
 
 class MLPCritic(nn.Module):
-    """Value [*B, 1] of the joint observation."""
+    """Value [*B, 1] of the joint observation, or of one robot's."""
 
     def __init__(
-        self, config: ArenaConfig, hidden: Sequence[int] = (2400, 300), norm_last: bool = False
+        self,
+        config: ArenaConfig,
+        hidden: Sequence[int] = (2400, 300),
+        norm_last: bool = False,
+        robot: int | None = None,
     ) -> None:
         super().__init__()
-        self.layers = mlp(config.num_agents * config.observation_size, 1, hidden, norm_last)
+        self.seen = _rows(config, robot)
+        self.layers = mlp(len(self.seen) * config.observation_size, 1, hidden, norm_last)
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Value [*B, 1] from inputs with a robot axis."""
-        return self.layers(in_a_row(fov, fpr, net).flatten(-2)).float()
+        rows = in_a_row(fov, fpr, net)[..., self.seen.start : self.seen.stop, :]
+        return self.layers(rows.flatten(-2)).float()
+
+
+def _rows(config: ArenaConfig, robot: int | None) -> range:
+    """Robots whose observations a critic reads."""
+    return range(config.num_agents) if robot is None else range(robot, robot + 1)
 
 
 class _Conv2d(nn.Conv2d):
@@ -158,7 +169,7 @@ class CNNActor(nn.Module):
 
 
 class CNNCritic(nn.Module):
-    """Value [*B, 1] of the joint observation, one ``CNNEncoder`` per robot (Fig. 2b)."""
+    """Value [*B, 1] of the joint observation or of one robot's, a ``CNNEncoder`` each (Fig. 2b)."""
 
     def __init__(
         self,
@@ -166,9 +177,11 @@ class CNNCritic(nn.Module):
         hidden: int = 300,
         channels: Sequence[int] = (8, 16),
         widths: tuple[int, int, int] = (64, 64, 16),
+        robot: int | None = None,
     ) -> None:
         super().__init__()
-        encoders = [CNNEncoder(config, channels, widths) for _ in range(config.num_agents)]
+        self.seen = _rows(config, robot)
+        encoders = [CNNEncoder(config, channels, widths) for _ in self.seen]
         size = sum(encoder.size for encoder in encoders)
         self.encoders = nn.ModuleList(encoders)
         self.head = nn.Sequential(nn.Linear(size, hidden), nn.ReLU(), nn.Linear(hidden, 1))
@@ -176,7 +189,7 @@ class CNNCritic(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Value [*B, 1] from inputs with a robot axis."""
-        robots = by_robot(fov, fpr, net)
+        robots = [*by_robot(fov, fpr, net)][self.seen.start : self.seen.stop]
         features = [enc(*robot) for enc, robot in zip(self.encoders, robots, strict=True)]
         return self.head(torch.cat(features, -1)).float()
 
@@ -262,12 +275,23 @@ def make_critic(
     hidden: Sequence[int],
     reads: CriticInput,
     norm_last: bool = False,
+    robot: int | None = None,
 ) -> TensorDictModule:
-    """The shared critic, writing "state_value" [*B, 1] from the observations or the true state."""
+    """A critic, writing "state_value" [*B, 1].
+
+    Args:
+        config: the arena.
+        architecture: of a critic that reads observations.
+        hidden: widths; a CNN uses the last one.
+        reads: the observations or the true state.
+        norm_last: whether the last hidden layer of an MLP is normalised too.
+        robot: the only one whose observation it reads; None: those of all.
+    """
     if reads == "state":
         return TensorDictModule(StateCritic(config, hidden, norm_last), STATE_KEYS, ["state_value"])
-    if architecture == "mlp":
-        return TensorDictModule(
-            MLPCritic(config, hidden, norm_last), OBSERVATION_KEYS, ["state_value"]
-        )
-    return TensorDictModule(CNNCritic(config, hidden[-1]), OBSERVATION_KEYS, ["state_value"])
+    critic = (
+        MLPCritic(config, hidden, norm_last, robot)
+        if architecture == "mlp"
+        else CNNCritic(config, hidden[-1], robot=robot)
+    )
+    return TensorDictModule(critic, OBSERVATION_KEYS, ["state_value"])

@@ -42,12 +42,13 @@ class PolicySpec:
     fpr: Normalization | None
     norm_last: bool = False
     without: tuple[Ability, ...] = ()
+    shared: bool = False
 
     def make_actors(self) -> list[nn.Module]:
-        """A freshly initialised network per robot."""
+        """A freshly initialised network per robot, or one that all share."""
         return [
             make_actor(self.arena, self.architecture, self.hidden, self.norm_last, self.without)
-            for _ in range(self.arena.num_agents)
+            for _ in range(1 if self.shared else self.arena.num_agents)
         ]
 
 
@@ -60,7 +61,7 @@ class Policy(TensorDictModuleBase):
 
     Args:
         spec: what the networks were built from.
-        actors: a network per robot.
+        actors: a network per robot, or one that all share.
     """
 
     in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys so
@@ -81,8 +82,12 @@ class Policy(TensorDictModuleBase):
 
     @property
     def actors(self) -> nn.ModuleList:
-        """The networks, one per robot."""
+        """The networks, one per robot or one for all."""
         return self.team.stacked.actors
+
+    def actor_of(self, robot: int) -> nn.Module:
+        """The network of one robot."""
+        return self.actors[0 if self.spec.shared else robot]
 
     def use_range(self, cells: float) -> None:
         """Count robots up to this distance (cells) as in range; at first that of the training."""

@@ -27,7 +27,11 @@ LOG_PROB: NestedKey = ("agents", "action_log_prob")
 
 
 class StackedActors(nn.Module):
-    """The actors of a team side by side: logits [*B, N, 10] from inputs with a robot axis."""
+    """The actors of a team side by side: logits [*B, N, 10] from inputs with a robot axis.
+
+    Args:
+        actors: one per robot, or a single one that all share.
+    """
 
     def __init__(self, actors: Iterable[nn.Module]) -> None:
         super().__init__()
@@ -40,14 +44,16 @@ class StackedActors(nn.Module):
 
         Their weights are copied: they must not change before the end.
         """
-        self._together = [side_by_side([*self.actors])]
+        self._together = [side_by_side([*self.actors])] if len(self.actors) > 1 else []
         try:
             yield
         finally:
             self._together = []
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
-        """Logits [*B, N, 10]; actor i reads row i."""
+        """Logits [*B, N, 10]; actor i reads row i, a single one reads all rows."""
+        if len(self.actors) == 1:
+            return self.actors[0](fov, fpr, net)
         if self._together:
             logits = self._together[0](*robots_first(fov, fpr, net))
             return logits.movedim(0, -2)

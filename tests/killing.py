@@ -13,7 +13,7 @@ from pathlib import Path
 
 from torchrl.record.loggers.csv import CSVExperiment
 
-from marl_explore import checkpoint, files, runs, trainer, training_run, validation
+from marl_explore import checkpoint, files, learners, runs, trainer, training_run, validation
 from marl_explore.config import ArenaConfig, TrainConfig
 from marl_explore.execution import RunConfig
 
@@ -33,7 +33,7 @@ RUN = RunConfig(checkpoint_every=3, validate_every=4, validation_arenas=4, valid
 
 MOMENTS = {
     "collecting": (trainer.Trainer, "collect"),
-    "in an update": (trainer.Trainer, "_step"),
+    "in an update": (learners.Learner, "_step"),
     "logging": (CSVExperiment, "add_scalar"),
     "validating": (validation, "evaluate"),
     "before a checkpoint": (training_run, "write_checkpoint"),

@@ -83,7 +83,7 @@ def test_workers_share_the_arenas_of_an_asynchronous_collector(here):
 
 
 def weights(run):
-    return [p.clone() for p in run.loss.parameters()]
+    return [p.clone() for p in run.learners["team"].loss.parameters()]
 
 
 def run_to(run, updates, disturb=None):

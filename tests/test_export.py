@@ -13,13 +13,17 @@ from tests.test_policies import a_policy
 
 def expected(policy, robot, inputs):
     with torch.no_grad():
-        return [out.numpy() for out in Deployed(policy.actors[robot])(*inputs)]
+        return [out.numpy() for out in Deployed(policy.actor_of(robot))(*inputs)]
 
 
-@pytest.mark.parametrize("without", [(), ("fov", "net", "communication")])
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"without": ("fov", "net", "communication")}, {"shared": True}],
+    ids=["full", "without", "shared"],
+)
 @pytest.mark.parametrize("architecture", ["mlp", "cnn"])
-def test_numpy_agrees_with_torch_on_1000_observations(tmp_path, architecture, without):
-    policy = a_policy(architecture, without=without)
+def test_numpy_agrees_with_torch_on_1000_observations(tmp_path, architecture, options):
+    policy = a_policy(architecture, **options)
     path = export_npz(policy, tmp_path / "policy.npz")
     for robot in range(4):
         inputs = example_inputs(policy.spec.arena, 1000, seed=robot)

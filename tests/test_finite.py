@@ -64,7 +64,7 @@ def test_in_observations_and_rewards(key, row, value, message):
 
 def test_in_a_loss():
     trainer = Trainer(CONFIG)
-    trainer.loss.actor_losses["robot_1"].entropy_coeff.fill_(float("nan"))
+    trainer.learners["team"].loss.actor_losses["robot_1"].entropy_coeff.fill_(float("nan"))
     with pytest.raises(NonFiniteError, match="update 1, robot_1: loss_entropy is NaN"):
         list(trainer.run())
 
@@ -72,7 +72,7 @@ def test_in_a_loss():
 def test_in_a_value():
     trainer = Trainer(CONFIG)
     with torch.no_grad():
-        trainer.loss.critic.module.layers[0].weight[0, 0] = float("inf")
+        trainer.learners["team"].critic.module.layers[0].weight[0, 0] = float("inf")
     with pytest.raises(NonFiniteError, match="update 1, critic: advantage is not finite"):
         list(trainer.run())
 

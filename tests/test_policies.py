@@ -14,19 +14,21 @@ from marl_explore.policies import FORMAT, Policy, PolicySpec, policy_info, save_
 from marl_explore.team import probabilistic_actor
 
 
-def a_policy(architecture="mlp", fpr="proximity", without=(), **arena):
+def a_policy(architecture="mlp", fpr="proximity", without=(), shared=False, **arena):
     torch.manual_seed(0)
-    spec = PolicySpec(ArenaConfig(**arena), architecture, (16, 16), fpr, without=without)
+    spec = PolicySpec(
+        ArenaConfig(**arena), architecture, (16, 16), fpr, without=without, shared=shared
+    )
     policy = Policy(spec, spec.make_actors())
     for parameter in policy.parameters():  # away from the nearly uniform start
         torch.nn.init.normal_(parameter, std=0.5)
     return policy
 
 
-@pytest.mark.parametrize("without", [(), ("fpr", "communication")])
+@pytest.mark.parametrize("options", [{}, {"without": ("fpr", "communication")}, {"shared": True}])
 @pytest.mark.parametrize("architecture", ["mlp", "cnn"])
-def test_a_loaded_policy_acts_as_the_saved_one(tmp_path, architecture, without):
-    policy = a_policy(architecture, without=without)
+def test_a_loaded_policy_acts_as_the_saved_one(tmp_path, architecture, options):
+    policy = a_policy(architecture, **options)
     path = save_policy(policy, tmp_path / "team.safetensors", info={"seed": 3})
     loaded = load_policy(path)
     assert loaded.spec == policy.spec

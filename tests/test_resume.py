@@ -279,7 +279,7 @@ def test_a_state_of_other_networks_is_refused():
     with pytest.raises(ValueError, match="the state does not fit this run: .*size mismatch"):
         Trainer(replace(CONFIG, hidden=(8, 8))).load_state_dict(state)
     wider = Trainer(replace(CONFIG, arena=replace(CONFIG.arena, num_agents=3)))
-    state["loss"] = wider.loss.state_dict()
+    state["learners"]["team"]["loss"] = wider.state_dict()["learners"]["team"]["loss"]
     with pytest.raises(ValueError, match="the state does not fit this run: it has no 'robot_2'"):
         wider.load_state_dict(state)
 

@@ -29,7 +29,16 @@ TIMES = ("seconds", "rate")
 def curve(config):
     trainer = Trainer(config)
     metrics = [{k: v for k, v in m.items() if k not in TIMES} for m in trainer.run()]
-    return metrics, [p.clone() for p in trainer.loss.parameters()]
+    return metrics, [p.clone() for p in parameters(trainer).values()]
+
+
+def parameters(trainer):
+    """Of actors and critics, by name."""
+    return {
+        f"{learner}.{name}": parameter
+        for learner, one in trainer.learners.items()
+        for name, parameter in one.loss.named_parameters()
+    }
 
 
 @pytest.mark.parametrize(
@@ -38,8 +47,10 @@ def curve(config):
         SMALL,
         replace(SMALL, architecture="cnn", value_norm=False, minibatches=1),
         replace(SMALL, critic_reads="state", lr_decay=True, reward="team", fpr="proximity"),
+        replace(SMALL, algorithm="mappo"),
+        replace(SMALL, algorithm="ippo", architecture="cnn"),
     ],
-    ids=["mlp", "cnn", "state critic"],
+    ids=["mlp", "cnn", "state critic", "mappo", "ippo"],
 )
 def test_the_same_seed_gives_the_same_curve_to_the_last_bit(config):
     torch.rand(7)  # whatever happened before does not matter
@@ -55,12 +66,16 @@ def test_another_seed_gives_another_curve():
     assert repr(curve(SMALL)[0]) != repr(curve(replace(SMALL, seed=1))[0])
 
 
-def test_every_network_is_trained():
-    trainer = Trainer(SMALL)
-    before = {name: p.clone() for name, p in trainer.loss.named_parameters()}
+@pytest.mark.parametrize(
+    ("algorithm", "networks"), [("happo", 3 + 1), ("mappo", 1 + 1), ("ippo", 3 + 3)]
+)
+def test_every_network_is_trained(algorithm, networks):
+    trainer = Trainer(replace(SMALL, algorithm=algorithm))
+    before = {name: p.clone() for name, p in parameters(trainer).items()}
+    assert len(before) == networks * len(list(trainer.policy.actors[0].parameters()))
     for _ in trainer.run():
         pass
-    for name, parameter in trainer.loss.named_parameters():
+    for name, parameter in parameters(trainer).items():
         assert not torch.equal(parameter, before[name]), name
 
 
@@ -68,7 +83,7 @@ def test_step_sizes_fall_to_5_percent():
     trainer = Trainer(replace(SMALL, lr_decay=True))
     for _ in trainer.run():
         pass
-    rates = [o.param_groups[0]["lr"] for o in trainer.optimizers.values()]
+    rates = [o.param_groups[0]["lr"] for o in trainer.learners["team"].optimizers.values()]
     assert rates == pytest.approx([0.05 * 5e-4] * 4)
 
 

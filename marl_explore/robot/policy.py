@@ -47,7 +47,7 @@ class ExportedPolicy:
             raise ValueError(
                 f"robot={robot!r} is not allowed: {path} has actors of {self.arena.num_agents}"
             )
-        prefix = f"{robot}."
+        prefix = "0." if self.spec.get("shared") else f"{robot}."
         self._weights = {
             name.removeprefix(prefix).removeprefix("actor."): array
             for name, array in weights.items()

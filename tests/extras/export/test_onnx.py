@@ -25,10 +25,14 @@ def run(path, inputs):
     return session.run(list(OUTPUTS), named)
 
 
-@pytest.mark.parametrize("without", [(), ("fpr", "communication")])
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"without": ("fpr", "communication")}, {"shared": True}],
+    ids=["full", "without", "shared"],
+)
 @pytest.mark.parametrize("architecture", ["mlp", "cnn"])
-def test_onnxruntime_agrees_on_1000_observations(tmp_path, architecture, without):
-    policy = a_policy(architecture, without=without)
+def test_onnxruntime_agrees_on_1000_observations(tmp_path, architecture, options):
+    policy = a_policy(architecture, **options)
     paths = export_onnx(policy, tmp_path / "new")
     npz = export_npz(policy, tmp_path / "policy.npz")
     assert [path.name for path in paths] == [f"robot_{i}.onnx" for i in range(4)]
