@@ -149,7 +149,7 @@ def from_json(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 Algorithm = Literal["happo", "mappo", "ippo"]
-Architecture = Literal["mlp", "cnn"]
+Architecture = Literal["mlp", "cnn", "deepset"]
 Ability = Literal["fov", "fpr", "net", "communication"]
 CriticInput = Literal["observation", "state"]
 Precision = Literal["float32", "bfloat16"]
@@ -252,6 +252,12 @@ class TrainConfig:
             _require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
         _require(
             self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
+        )
+        _require(
+            self.architecture != "deepset" or self.critic_reads == "state",
+            "critic_reads",
+            self.critic_reads,
+            "beside deepset actors the critic reads the state",
         )
         _require(
             self.algorithm != "ippo" or self.critic_reads == "observation",

@@ -2,7 +2,8 @@
 
 Networks are plain modules on ``(fov, fpr, net)``: float [*B, 2k+1, 2k+1], [*B, 8, 3], [*B, N] for
 an actor, and the same with a robot axis after ``*B`` for a critic. What they return is float32,
-also under autocast: losses are computed in full precision.
+also under autocast: losses are computed in full precision. An actor that reads other parts of the
+observation names them in ``inputs``.
 """
 
 from __future__ import annotations
@@ -21,11 +22,26 @@ from marl_explore.config import Ability, Architecture, ArenaConfig, CriticInput
 from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
 from marl_explore.core.mapping import known_mask
 
-OBSERVATION_KEYS: list[NestedKey] = [
-    ("agents", "observation", key) for key in ("fov", "fpr", "net")
-]
+PAPER_INPUTS = ("fov", "fpr", "net")
+
+
+def observation_keys(inputs: Sequence[str]) -> list[NestedKey]:
+    """Entries of the group "agents" that hold these parts of the observation."""
+    return [("agents", "observation", key) for key in inputs]
+
+
+OBSERVATION_KEYS = observation_keys(PAPER_INPUTS)
 STATE_KEYS: list[NestedKey] = ["obstacles", ("agents", "position"), ("agents", "map")]
-_EVENT_DIMS = (2, 2, 1)  # of fov, fpr and net
+_EVENT_DIMS = {
+    "fov": 2,
+    "fpr": 2,
+    "net": 1,
+    "gain": 1,
+    "territory": 2,
+    "teammates": 2,
+    "clock": 1,
+    "local": 3,
+}
 _FPR_SIZE = NUM_DIRECTIONS * 3
 
 ACTOR_GAIN, CRITIC_GAIN = 0.01, 1.0
@@ -74,6 +90,8 @@ def in_a_row(fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
 
 class MLPActor(nn.Module):
     """Logits [*B, 10] of one robot from its concatenated observation."""
+
+    inputs = PAPER_INPUTS
 
     def __init__(
         self, config: ArenaConfig, hidden: Sequence[int] = (2400, 300), norm_last: bool = False
@@ -149,6 +167,8 @@ class CNNEncoder(nn.Module):
 class CNNActor(nn.Module):
     """Logits [*B, 10] of one robot through a ``CNNEncoder`` (the paper's Fig. 2a)."""
 
+    inputs = PAPER_INPUTS
+
     def __init__(
         self,
         config: ArenaConfig,
@@ -189,9 +209,61 @@ class CNNCritic(nn.Module):
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
         """Value [*B, 1] from inputs with a robot axis."""
-        robots = [*by_robot(fov, fpr, net)][self.seen.start : self.seen.stop]
+        robots = [*by_robot(PAPER_INPUTS, fov, fpr, net)][self.seen.start : self.seen.stop]
         features = [enc(*robot) for enc, robot in zip(self.encoders, robots, strict=True)]
         return self.head(torch.cat(features, -1)).float()
+
+
+class DeepSetActor(nn.Module):
+    """Logits [*B, 10] of one robot of any team on any arena.
+
+    Every other robot is encoded on its own, and the codes are pooled (mean and maximum over those
+    it has met or sees), after Zaheer et al., "Deep Sets", 2017.
+
+    Args:
+        config: the arena; of it only the field of view matters.
+        hidden: widths of the layers after the pooling.
+        norm_last: whether the last one is normalised too.
+        view: r of ``LocalMap``.
+        period: of ``Clock``.
+        width: of the code of another robot.
+    """
+
+    inputs = ("fov", "fpr", "gain", "territory", "teammates", "clock", "local")
+
+    def __init__(
+        self,
+        config: ArenaConfig,
+        hidden: Sequence[int] = (256, 128),
+        norm_last: bool = False,
+        view: int = 4,
+        period: int = 6,
+        width: int = 32,
+    ) -> None:
+        super().__init__()
+        code = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.code = initialize(code, math.sqrt(2))
+        own = config.fov_size**2 + 2 * _FPR_SIZE + NUM_DIRECTIONS + 1 + period
+        inputs = own + 3 * (2 * view + 1) ** 2 + 2 * width
+        self.layers = mlp(inputs, NUM_ACTIONS, hidden, norm_last, ACTOR_GAIN)
+
+    def forward(
+        self,
+        fov: Tensor,
+        fpr: Tensor,
+        gain: Tensor,
+        territory: Tensor,
+        teammates: Tensor,
+        clock: Tensor,
+        local: Tensor,
+    ) -> Tensor:
+        """Logits [*B, 10]."""
+        other = (teammates != 0).any(-1, keepdim=True)  # all is 0 of the robot itself
+        codes = self.code(teammates) * other
+        number = other.sum(-2).clamp_min(1)
+        parts = (fov.flatten(-2), fpr.flatten(-2), gain, territory.flatten(-2), clock)
+        pooled = (codes.sum(-2) / number, codes.amax(-2))
+        return self.layers(torch.cat((*parts, local.flatten(-3), *pooled), -1)).float()
 
 
 class StateCritic(nn.Module):
@@ -226,14 +298,16 @@ class Ablated(nn.Module):
     def __init__(self, actor: nn.Module, without: Sequence[Ability]) -> None:
         super().__init__()
         self.actor = actor
+        self.inputs: tuple[str, ...] = actor.inputs  # type: ignore[assignment]
         self.without = frozenset(without)
 
-    def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
+    def forward(self, *inputs: Tensor) -> Tensor:
         """Logits [*B, 10]."""
-        inputs = {"fov": fov, "fpr": fpr, "net": net}
-        for name in self.without & inputs.keys():
-            inputs[name] = torch.zeros_like(inputs[name])
-        logits = self.actor(**inputs)
+        read = (
+            torch.zeros_like(entry) if name in self.without else entry
+            for name, entry in zip(self.inputs, inputs, strict=True)
+        )
+        logits = self.actor(*read)
         if "communication" in self.without:
             logits = logits.index_fill(-1, torch.tensor(COMMUNICATE, device=logits.device), _NEVER)
         return logits
@@ -243,14 +317,14 @@ _NEVER = -1e4
 """Logit of an action that is never chosen, in every precision."""
 
 
-def robots_first(*inputs: Tensor) -> list[Tensor]:
-    """The inputs [*B, N, ...] with the robot axis in front."""
-    return [x.movedim(-1 - dims, 0) for x, dims in zip(inputs, _EVENT_DIMS, strict=True)]
+def robots_first(names: Sequence[str], *inputs: Tensor) -> list[Tensor]:
+    """The inputs [*B, N, ...] of these names with the robot axis in front."""
+    return [x.movedim(-1 - _EVENT_DIMS[name], 0) for name, x in zip(names, inputs, strict=True)]
 
 
-def by_robot(*inputs: Tensor) -> Iterable[tuple[Tensor, ...]]:
+def by_robot(names: Sequence[str], *inputs: Tensor) -> Iterable[tuple[Tensor, ...]]:
     """The inputs [*B, N, ...] of each robot, the robot axis taken off."""
-    return zip(*robots_first(*inputs), strict=True)
+    return zip(*robots_first(names, *inputs), strict=True)
 
 
 def make_actor(
@@ -261,11 +335,12 @@ def make_actor(
     without: Sequence[Ability] = (),
 ) -> nn.Module:
     """One robot's actor network; of ``hidden`` a CNN uses the last width."""
-    actor = (
-        MLPActor(config, hidden, norm_last)
-        if architecture == "mlp"
-        else CNNActor(config, hidden[-1])
-    )
+    actor: nn.Module
+    if architecture == "cnn":
+        actor = CNNActor(config, hidden[-1])
+    else:
+        kind = MLPActor if architecture == "mlp" else DeepSetActor
+        actor = kind(config, hidden, norm_last)
     return Ablated(actor, without) if without else actor
 
 

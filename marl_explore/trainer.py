@@ -37,6 +37,7 @@ def make_training_env(
         seed=config.seed,
         first_arena=first_arena,
         fpr=config.fpr,
+        architecture=config.architecture,
     )
     env.append_transform(RewardSum())
     return env

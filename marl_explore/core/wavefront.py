@@ -92,13 +92,16 @@ def _spread(front: Tensor, passable: Tensor, sideways: Tensor, upright: Tensor) 
     front[:, inner] |= upright[:, 2:]
 
 
-def path_distances(free: Tensor, target: Tensor, longest: int = ALL) -> Tensor:
+def path_distances(
+    free: Tensor, target: Tensor, longest: int = ALL, passable: Tensor | None = None
+) -> Tensor:
     """Lengths of the shortest 8-connected paths from all cells to some, uint8 [M, H W, U].
 
     Args:
-        free: cells that paths may use, bool [M, H, W]; a diagonal is closed between two others.
+        free: cells that paths may use, bool [M, H, W].
         target: different cells of each flattened grid, int64 [M, U].
         longest: what longer paths, and cells that cannot be reached, count as, at most ALL.
+        passable: a diagonal is closed between two cells that are not, bool [M, H, W]; None: free.
     """
     count, height, width = free.shape
     targets = target.shape[1]
@@ -109,16 +112,19 @@ def path_distances(free: Tensor, target: Tensor, longest: int = ALL) -> Tensor:
     byte = torch.arange(targets, device=free.device) // 8
     own = free.new_zeros(count, height * width * size, dtype=torch.uint8)
     own.scatter_add_(1, target * size + byte, label)
-    passable = mask(batch_last(free, border=0)).repeat_interleave(size, -1)
-    reached = torch.zeros_like(passable)
+    usable = mask(batch_last(free, border=0)).repeat_interleave(size, -1)
+    beside = usable
+    if passable is not None:
+        beside = mask(batch_last(passable, border=0)).repeat_interleave(size, -1)
+    reached = torch.zeros_like(usable)
     reached[1:-1, 1:-1] = own.view(count, height, width, size).permute(1, 2, 0, 3).flatten(-2)
-    reached &= passable
+    reached &= usable
     sideways, upright = torch.zeros_like(reached), torch.zeros_like(reached)
     digits = [torch.zeros_like(reached) for _ in range(longest.bit_length())]
     for level in range(1, longest):
         before = reached.clone()
-        _spread(reached, passable, sideways, upright)
-        reached &= passable
+        _spread(reached, beside, sideways, upright)
+        reached &= usable
         new = before.bitwise_xor_(reached)
         if not new.any():
             break
