@@ -15,7 +15,7 @@ MANY_FRONTIERS = 8
 
 def unknown_around(grid: Tensor, radius: int) -> Tensor:
     """Unknown cells in the square around each cell, float32 [*B, H, W], of maps [*B, H, W]."""
-    unknown = (grid == UNKNOWN).float().flatten(0, -3).unsqueeze(1)
+    unknown = (grid == UNKNOWN).float().reshape(-1, 1, *grid.shape[-2:])
     side = 2 * radius + 1
     mean = torch.nn.functional.avg_pool2d(unknown, side, stride=1, padding=radius)
     return (mean * side**2).round().view(grid.shape)

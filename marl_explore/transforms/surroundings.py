@@ -17,14 +17,13 @@ from marl_explore.core.grid import (
 )
 from marl_explore.core.outlook import step_gains
 from marl_explore.core.radio import in_range
-from marl_explore.transforms.base import FeatureTransform
-from marl_explore.transforms.team import require_range
+from marl_explore.transforms.base import FeatureTransform, MapFeature, require_range
 
 LONG_STEPS = 16
 """Elapsed steps that read as one half."""
 
 
-class StepGain(FeatureTransform):
+class StepGain(MapFeature):
     """Share of the square around each neighbouring cell that a move there would see first.
 
     Reads maps int8 [*B, H, W] and positions int64 [*B, 2]; writes float32 [*B, 8], 0 where the
@@ -47,15 +46,6 @@ class StepGain(FeatureTransform):
         super().__init__([map_key, position_key], out_key)
         self.radius = radius
 
-    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Maps must be int8 [*B, H, W] and positions int64 [*B, 2]."""
-        grid, position = inputs
-        if grid.dtype != torch.int8 or grid.ndim < 2:
-            self._refuse(self.in_keys[0], "int8 of shape [*B, H, W]", grid)
-        shape = (*grid.shape[:-2], 2)
-        if (position.dtype, position.shape) != (torch.int64, shape):
-            self._refuse(self.in_keys[1], f"int64 of shape {shape}", position)
-
     def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
         """The shares float32 [*B, 8]."""
         return step_gains(grid, position, self.radius) / (2 * self.radius + 1) ** 2
@@ -66,7 +56,7 @@ class StepGain(FeatureTransform):
         return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)
 
 
-class LocalMap(FeatureTransform):
+class LocalMap(MapFeature):
     """The part of its map around each robot of a team, and the robots in range that stand there.
 
     Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32
@@ -80,6 +70,8 @@ class LocalMap(FeatureTransform):
         view: r, half a side of the part (cells).
     """
 
+    of_team = True
+
     def __init__(
         self,
         map_key: NestedKey = ("agents", "map"),
@@ -91,15 +83,6 @@ class LocalMap(FeatureTransform):
         require_range(range_cells)
         super().__init__([map_key, position_key], out_key)
         self.range_cells, self.view = range_cells, view
-
-    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Maps must be int8 [*B, N, H, W] and positions int64 [*B, N, 2]."""
-        grid, position = inputs
-        if grid.dtype != torch.int8 or grid.ndim < 3:
-            self._refuse(self.in_keys[0], "int8 of shape [*B, N, H, W]", grid)
-        shape = (*grid.shape[:-2], 2)
-        if (position.dtype, position.shape) != (torch.int64, shape):
-            self._refuse(self.in_keys[1], f"int64 of shape {shape}", position)
 
     def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
         """The part float32 [*B, N, 3, 2r + 1, 2r + 1]."""
@@ -149,8 +132,7 @@ class Clock(FeatureTransform):
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
         """Steps must be int64 [*B, 1] and positions int64 [*B, N, 2]."""
         steps, position = inputs
-        if position.dtype != torch.int64 or position.ndim < 2 or position.shape[-1] != 2:
-            self._refuse(self.in_keys[1], "int64 of shape [*B, N, 2]", position)
+        self._require_team(self.in_keys[1], position)
         shape = (*position.shape[:-2], 1)
         if (steps.dtype, steps.shape) != (torch.int64, shape):
             self._refuse(self.in_keys[0], f"int64 of shape {shape}", steps)

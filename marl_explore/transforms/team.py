@@ -10,19 +10,13 @@ from torchrl.data import Bounded, TensorSpec
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
 from marl_explore.core.outlook import territory_table
 from marl_explore.core.radio import in_range
-from marl_explore.transforms.base import FeatureTransform
+from marl_explore.transforms.base import FeatureTransform, MapFeature, require_range
 
 NEAR_CELLS, FEW_CELLS, SHORT_STEPS = 8, 16, 8
 """Scales at which distances, unshared cells and waiting times are told apart best."""
 
 
-def require_range(range_cells: float) -> None:
-    """Refuse what is no communication range."""
-    if not isinstance(range_cells, (int, float)) or not range_cells >= 0:  # NaN too
-        raise ValueError(f"range_cells={range_cells!r} is not allowed: it must be a number >= 0")
-
-
-class FrontierTerritory(FeatureTransform):
+class FrontierTerritory(MapFeature):
     """The frontiers to which no other robot in range is nearer, by direction.
 
     Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32 [*B, N, 8, 3]
@@ -36,6 +30,8 @@ class FrontierTerritory(FeatureTransform):
         radius: of the square that a robot sees (cells).
     """
 
+    of_team = True
+
     def __init__(
         self,
         map_key: NestedKey = ("agents", "map"),
@@ -47,15 +43,6 @@ class FrontierTerritory(FeatureTransform):
         require_range(range_cells)
         super().__init__([map_key, position_key], out_key)
         self.range_cells, self.radius = range_cells, radius
-
-    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Maps must be int8 [*B, N, H, W] and positions int64 [*B, N, 2]."""
-        grid, position = inputs
-        if grid.dtype != torch.int8 or grid.ndim < 3:
-            self._refuse(self.in_keys[0], "int8 of shape [*B, N, H, W]", grid)
-        shape = (*grid.shape[:-2], 2)
-        if (position.dtype, position.shape) != (torch.int64, shape):
-            self._refuse(self.in_keys[1], f"int64 of shape {shape}", position)
 
     def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
         """The table float32 [*B, N, 8, 3]."""
@@ -99,8 +86,7 @@ class Teammates(FeatureTransform):
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
         """Positions must be int64 [*B, N, 2], the others int64 [*B, N, N]."""
         position = inputs[0]
-        if position.dtype != torch.int64 or position.ndim < 2 or position.shape[-1] != 2:
-            self._refuse(self.in_keys[0], "int64 of shape [*B, N, 2]", position)
+        self._require_team(self.in_keys[0], position)
         shape = (*position.shape[:-1], position.shape[-2])
         for key, entry in zip(self.in_keys[1:], inputs[1:], strict=True):
             if (entry.dtype, entry.shape) != (torch.int64, shape):
