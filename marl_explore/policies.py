@@ -44,11 +44,19 @@ class PolicySpec:
     norm_last: bool = False
     without: tuple[Ability, ...] = ()
     shared: bool = False
+    communicate_every: int = 1
 
     def make_actors(self) -> list[nn.Module]:
         """A freshly initialised network per robot, or one that all share."""
         return [
-            make_actor(self.arena, self.architecture, self.hidden, self.norm_last, self.without)
+            make_actor(
+                self.arena,
+                self.architecture,
+                self.hidden,
+                self.norm_last,
+                self.without,
+                self.communicate_every,
+            )
             for _ in range(1 if self.shared else self.arena.num_agents)
         ]
 

@@ -69,6 +69,7 @@ class Trainer:
             config.norm_last,
             config.without,
             shared=config.algorithm == "mappo",
+            communicate_every=config.communicate_every,
         )
         self.policy = Policy(spec, spec.make_actors())
         self.learners = make_learners(config, self.policy)

@@ -140,6 +140,17 @@ def test_one_policy_acts_for_any_team_on_any_arena(tmp_path, robots):
     assert chosen.all()
 
 
+@pytest.mark.parametrize(("every", "times"), [(1, range(6)), (3, (0, 3)), (6, (0,))])
+def test_actors_communicate_when_the_clock_says_so(every, times):
+    spec = PolicySpec(
+        ArenaConfig(), "deepset", (8,), "proximity", shared=True, communicate_every=every
+    )
+    policy = Policy(spec, spec.make_actors())
+    td = ExplorationEnv(num_envs=200).rollout(30, policy=policy)
+    steps = td["step_count"].squeeze(-1)[td["agents", "action"].eq(9).any(-1)] % 6
+    assert set(steps.tolist()) == set(times)
+
+
 def test_the_order_of_the_other_robots_does_not_matter():
     policy = a_policy_for_any_team()
     td = ExplorationEnv(num_envs=20).rollout(8)[:, -1]

@@ -6,8 +6,16 @@ import torch
 from torch import Tensor
 
 from marl_explore.core.frontier import frontier_mask, paths
-from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN, compass, other_robots
-from marl_explore.core.wavefront import ALL, path_distances
+from marl_explore.core.grid import (
+    FREE,
+    NUM_DIRECTIONS,
+    OCCUPIED,
+    UNKNOWN,
+    compass,
+    flat_cell,
+    other_robots,
+)
+from marl_explore.core.wavefront import nearest_distance
 
 MANY_FRONTIERS = 8
 """So many frontiers in a direction read as one half."""
@@ -91,11 +99,8 @@ def territory_table(grid: Tensor, position: Tensor, reach: Tensor, radius: int) 
 def _others_distance(grid: Tensor, position: Tensor, reach: Tensor) -> Tensor:
     """Moves from the nearest other robot in range to every cell of a robot's map, [*B, N, H, W]."""
     robots, height, width = grid.shape[-3:]
-    cells = (position[..., 0] * width + position[..., 1]).unsqueeze(-2)
-    cells = cells.expand(*grid.shape[:-2], robots).reshape(-1, robots)
-    grids = grid.reshape(-1, height, width)
-    free = (grids == FREE).flatten(1).scatter(1, cells, True).view_as(grids)
-    distance = path_distances(free, cells, passable=grids != OCCUPIED)
     others = reach & other_robots(robots, grid.device).bool()
-    distance = distance.masked_fill(~others.reshape(-1, 1, robots), ALL)
-    return distance.amin(-1).view(grid.shape)
+    cell = flat_cell(position, width).unsqueeze(-2).expand_as(others)
+    starts = torch.zeros_like(grid, dtype=torch.bool).flatten(-2).scatter(-1, cell, others)
+    starts, grids = starts.view(-1, height, width), grid.reshape(-1, height, width)
+    return nearest_distance(starts, grids == FREE, grids != OCCUPIED).view(grid.shape)

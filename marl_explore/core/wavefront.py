@@ -69,6 +69,25 @@ def flood(
     return labels, (waited.int() + earlier).add_(1)
 
 
+def nearest_distance(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
+    """Lengths of the shortest 8-connected paths from the nearest start, int32 [M, H, W].
+
+    Cells that no path comes to are as far as there are cells.
+
+    Args:
+        starts: where paths begin, bool [M, H, W].
+        free: cells that they may go on to, bool [M, H, W].
+        passable: a diagonal is closed between two cells that are not, bool [M, H, W].
+    """
+    begin, fresh, beside = (mask(batch_last(x, border=0)) for x in (starts, free, passable))
+    front, sideways, upright = begin.clone(), torch.zeros_like(begin), torch.zeros_like(begin)
+    _spread(front, beside, sideways, upright)
+    labels, distance = flood(front, fresh & ~begin, beside)
+    far = starts.shape[-2] * starts.shape[-1]
+    distance = distance.masked_fill_(labels == 0, far).masked_fill_(begin != 0, 0)
+    return distance[1:-1, 1:-1].permute(2, 0, 1)
+
+
 def _closed(front: Tensor) -> Tensor:
     """0 where any label stands, ALL elsewhere (1 - 1 = 0 and 0 - 1 = 255 in byte arithmetic)."""
     return front.clamp_max(1).sub_(1)
@@ -92,16 +111,13 @@ def _spread(front: Tensor, passable: Tensor, sideways: Tensor, upright: Tensor) 
     front[:, inner] |= upright[:, 2:]
 
 
-def path_distances(
-    free: Tensor, target: Tensor, longest: int = ALL, passable: Tensor | None = None
-) -> Tensor:
+def path_distances(free: Tensor, target: Tensor, longest: int = ALL) -> Tensor:
     """Lengths of the shortest 8-connected paths from all cells to some, uint8 [M, H W, U].
 
     Args:
-        free: cells that paths may use, bool [M, H, W].
+        free: cells that paths may use, bool [M, H, W]; a diagonal is closed between two others.
         target: different cells of each flattened grid, int64 [M, U].
         longest: what longer paths, and cells that cannot be reached, count as, at most ALL.
-        passable: a diagonal is closed between two cells that are not, bool [M, H, W]; None: free.
     """
     count, height, width = free.shape
     targets = target.shape[1]
@@ -112,19 +128,16 @@ def path_distances(
     byte = torch.arange(targets, device=free.device) // 8
     own = free.new_zeros(count, height * width * size, dtype=torch.uint8)
     own.scatter_add_(1, target * size + byte, label)
-    usable = mask(batch_last(free, border=0)).repeat_interleave(size, -1)
-    beside = usable
-    if passable is not None:
-        beside = mask(batch_last(passable, border=0)).repeat_interleave(size, -1)
-    reached = torch.zeros_like(usable)
+    passable = mask(batch_last(free, border=0)).repeat_interleave(size, -1)
+    reached = torch.zeros_like(passable)
     reached[1:-1, 1:-1] = own.view(count, height, width, size).permute(1, 2, 0, 3).flatten(-2)
-    reached &= usable
+    reached &= passable
     sideways, upright = torch.zeros_like(reached), torch.zeros_like(reached)
     digits = [torch.zeros_like(reached) for _ in range(longest.bit_length())]
     for level in range(1, longest):
         before = reached.clone()
-        _spread(reached, beside, sideways, upright)
-        reached &= usable
+        _spread(reached, passable, sideways, upright)
+        reached &= passable
         new = before.bitwise_xor_(reached)
         if not new.any():
             break

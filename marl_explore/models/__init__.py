@@ -54,14 +54,16 @@ def make_actor(
     hidden: Sequence[int],
     norm_last: bool = False,
     without: Sequence[Ability] = (),
+    communicate_every: int = 1,
 ) -> nn.Module:
     """One robot's actor network; of ``hidden`` a CNN uses the last width."""
     actor: nn.Module
-    if architecture == "cnn":
+    if architecture == "mlp":
+        actor = MLPActor(config, hidden, norm_last)
+    elif architecture == "cnn":
         actor = CNNActor(config, hidden[-1])
     else:
-        kind = MLPActor if architecture == "mlp" else DeepSetActor
-        actor = kind(config, hidden, norm_last)
+        actor = DeepSetActor(config, hidden, norm_last, communicate_every=communicate_every)
     return Ablated(actor, without) if without else actor
 
 

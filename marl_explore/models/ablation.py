@@ -9,9 +9,7 @@ from torch import Tensor, nn
 
 from marl_explore.config import Ability
 from marl_explore.core.grid import COMMUNICATE
-
-_NEVER = -1e4
-"""Logit of an action that is never chosen, in every precision."""
+from marl_explore.models.layers import NEVER
 
 
 class Ablated(nn.Module):
@@ -36,5 +34,5 @@ class Ablated(nn.Module):
         )
         logits = self.actor(*read)
         if "communication" in self.without:
-            logits = logits.index_fill(-1, torch.tensor(COMMUNICATE, device=logits.device), _NEVER)
+            logits = logits.index_fill(-1, torch.tensor(COMMUNICATE, device=logits.device), NEVER)
         return logits

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from marl_explore.config import ArenaConfig
-from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
-from marl_explore.models.layers import ACTOR_GAIN, initialize, mlp
+from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
+from marl_explore.models.layers import ACTOR_GAIN, NEVER, initialize, mlp
 
 _TABLE_SIZE = NUM_DIRECTIONS * 3
 
@@ -28,6 +28,8 @@ class DeepSetActor(nn.Module):
         view: r of ``LocalMap``.
         period: of ``Clock``.
         width: of the code of another robot.
+        communicate_every: steps between the times at which it may communicate, by the clock that
+            all robots share: when one does, the others may too. It divides the period.
     """
 
     inputs = ("fov", "fpr", "gain", "territory", "teammates", "clock", "local")
@@ -40,8 +42,10 @@ class DeepSetActor(nn.Module):
         view: int = 4,
         period: int = 6,
         width: int = 32,
+        communicate_every: int = 1,
     ) -> None:
         super().__init__()
+        self.communicate_every = communicate_every
         code = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.code = initialize(code, math.sqrt(2))
         own = config.fov_size**2 + 2 * _TABLE_SIZE + NUM_DIRECTIONS + 1 + period
@@ -64,4 +68,7 @@ class DeepSetActor(nn.Module):
         number = other.sum(-2).clamp_min(1)
         parts = (fov.flatten(-2), fpr.flatten(-2), gain, territory.flatten(-2), clock)
         pooled = (codes.sum(-2) / number, codes.amax(-2))
-        return self.layers(torch.cat((*parts, local.flatten(-3), *pooled), -1)).float()
+        logits = self.layers(torch.cat((*parts, local.flatten(-3), *pooled), -1)).float()
+        due = clock[..., 1 :: self.communicate_every].sum(-1)  # the hand is at one of these times
+        logits[..., COMMUNICATE] += NEVER * (1 - due)
+        return logits

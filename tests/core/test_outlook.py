@@ -47,10 +47,7 @@ def slow_territory(map_, positions, robot, near, radius):
     others = []
     for other, position in enumerate(positions):
         if other != robot and near[other]:
-            opened = reference.copied(free)
-            for row, column in positions:  # a robot may stand where the map knows nothing
-                opened[row][column] = True
-            others.append(reference.distances(opened, occupied, tuple(position)))
+            others.append(reference.distances(free, occupied, tuple(position)))
     cells = [cell for cell in reference.frontiers(map_) if cell != own]
     reachable = reference.distances(free, occupied, own)
     moves = dict(
@@ -58,7 +55,7 @@ def slow_territory(map_, positions, robot, near, radius):
     )
     table = [[0.0, 0.0, 0.0] for _ in range(8)]
     for cell, (first, length) in moves.items():
-        if any(distance.get(cell, 255) < length for distance in others):
+        if any(distance.get(cell, 999) < length for distance in others):
             continue
         share = unknown_in_square(map_, cell, radius) / (2 * radius + 1) ** 2
         number, nearness, best = table[first]
