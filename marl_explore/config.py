@@ -149,7 +149,7 @@ def from_json(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 Algorithm = Literal["happo", "mappo", "ippo"]
-Architecture = Literal["mlp", "cnn"]
+Architecture = Literal["mlp", "cnn", "deepset"]
 Ability = Literal["fov", "fpr", "net", "communication"]
 CriticInput = Literal["observation", "state"]
 Precision = Literal["float32", "bfloat16"]
@@ -187,6 +187,8 @@ class TrainConfig:
     """Whether the last hidden layer of an MLP is normalised too."""
     without: tuple[Ability, ...] = ()
     """What actors must do without: parts of the observation (they read 0), or to communicate."""
+    communicate_every: int = 1
+    """Steps between the times at which deepset actors may communicate, by a shared clock."""
     critic_reads: CriticInput = "observation"
     """Whether the critic reads the joint observation (the paper) or the true state."""
     episodes: int = 5000
@@ -252,6 +254,19 @@ class TrainConfig:
             _require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
         _require(
             self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
+        )
+        periods = (1, 2, 3, 6) if self.architecture == "deepset" else (1,)
+        _require(
+            self.communicate_every in periods,
+            "communicate_every",
+            self.communicate_every,
+            f"with {self.architecture} actors, use one of {periods}",
+        )
+        _require(
+            self.architecture != "deepset" or self.critic_reads == "state",
+            "critic_reads",
+            self.critic_reads,
+            "beside deepset actors the critic reads the state",
         )
         _require(
             self.algorithm != "ippo" or self.critic_reads == "observation",

@@ -18,6 +18,7 @@ from marl_explore.arenas import Generator, default_steps
 from marl_explore.config import ArenaConfig, require_integer
 from marl_explore.core.mapping import known_mask, target_cells, union_of
 from marl_explore.env import ExplorationEnv
+from marl_explore.likeliest import LikeliestActions
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
 from marl_explore.planners import PLANNERS
 from marl_explore.policies import load_policy, policy_info
@@ -25,24 +26,29 @@ from marl_explore.policies import load_policy, policy_info
 Actor = Callable[[TensorDictBase], TensorDictBase]
 
 TEST_STREAM = "test"
+ARGMAX = ":argmax"
 EVENTS = ("dangerous", "merged", "discovered", "received")
 
 
 def find_policy(name: str, config: ArenaConfig) -> Actor:
     """A planner's name, or what ``load_policy`` takes, ready to act on arenas of ``config``.
 
+    Policies draw their actions; with ":argmax" after its name one takes the likeliest
+    (``LikeliestActions``).
+
     Raises:
         ValueError: naming what there is, for an unknown name.
     """
     if name in PLANNERS:
         return PLANNERS[name](config)
+    likeliest = name.endswith(ARGMAX)
     try:
-        policy = load_policy(name)
+        policy = load_policy(name.removesuffix(ARGMAX))
     except ValueError as error:
         raise ValueError(f"{error}; planners: {sorted(PLANNERS)}") from error
     policy.check(config.num_agents, config.fov_size)
     policy.use_range(config.communication_cells)
-    return policy
+    return LikeliestActions(policy) if likeliest else policy
 
 
 def trained_on(name: str) -> tuple[ArenaConfig, str] | None:
@@ -51,6 +57,7 @@ def trained_on(name: str) -> tuple[ArenaConfig, str] | None:
     None for what is no policy, such as a planner's name.
     """
     try:
+        name = name.removesuffix(ARGMAX)
         arena = load_policy(name).spec.arena
     except ValueError:
         return None

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import torch
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import TransformedEnv
 
 from marl_explore.arenas import Generator
-from marl_explore.config import ArenaConfig
+from marl_explore.config import Architecture, ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.core.rewards import Reward
 from marl_explore.env import ExplorationEnv
-from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
+from marl_explore.features import make_features
 from marl_explore.transforms.frontier import Backend
 
 
@@ -27,6 +27,7 @@ def make_env(
     device: torch.device | str = "cpu",
     fpr: Normalization | None = "relative",
     backend: Backend = "auto",
+    architecture: Architecture = "mlp",
 ) -> TransformedEnv:
     """An ``ExplorationEnv`` with both transforms: it also observes FPR and NET.
 
@@ -37,6 +38,7 @@ def make_env(
         first_arena, device: as for ``ExplorationEnv``.
         fpr: normalisation of the frontier table: "relative", "proximity", "absolute" or None.
         backend: what computes the frontier table: "auto", "torch" or "native".
+        architecture: of the actors: those of "deepset" read more than FOV, FPR and NET.
     """
     env = ExplorationEnv(
         config,
@@ -50,8 +52,4 @@ def make_env(
         first_arena=first_arena,
         device=device,
     )
-    features = Compose(
-        FrontierReachability(normalize=fpr, backend=backend),
-        CommunicationNeighbors(range_cells=env.config.communication_cells),
-    )
-    return TransformedEnv(env, features)
+    return TransformedEnv(env, make_features(env.config, architecture, fpr, backend))

@@ -22,13 +22,14 @@ from torch import nn
 
 from marl_explore.config import Ability, Architecture, ArenaConfig, from_json
 from marl_explore.core.frontier import Normalization
+from marl_explore.features import make_features, set_range
 from marl_explore.files import whole_file
 from marl_explore.models import make_actor
-from marl_explore.team import TeamActor
-from marl_explore.transforms import CommunicationNeighbors, FrontierReachability
+from marl_explore.team import ACTION_MASK, TeamActor
 
 FORMAT = "marl_explore.policy/1"
 POLICY_FILE = "policy.safetensors"
+FOV: NestedKey = ("agents", "observation", "fov")
 BUNDLED = Path(__file__).parent / "policies"
 
 
@@ -43,11 +44,19 @@ class PolicySpec:
     norm_last: bool = False
     without: tuple[Ability, ...] = ()
     shared: bool = False
+    communicate_every: int = 1
 
     def make_actors(self) -> list[nn.Module]:
         """A freshly initialised network per robot, or one that all share."""
         return [
-            make_actor(self.arena, self.architecture, self.hidden, self.norm_last, self.without)
+            make_actor(
+                self.arena,
+                self.architecture,
+                self.hidden,
+                self.norm_last,
+                self.without,
+                self.communicate_every,
+            )
             for _ in range(1 if self.shared else self.arena.num_agents)
         ]
 
@@ -64,12 +73,6 @@ class Policy(TensorDictModuleBase):
         actors: a network per robot, or one that all share.
     """
 
-    in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys so
-        ("agents", "map"),
-        ("agents", "position"),
-        ("agents", "action_mask"),
-        ("agents", "observation", "fov"),
-    ]
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
     sees = "own FOV, FPR, NET"
 
@@ -77,13 +80,19 @@ class Policy(TensorDictModuleBase):
         super().__init__()
         self.spec = spec
         self.team = TeamActor(actors)
-        self._fpr = FrontierReachability(normalize=spec.fpr)
-        self._net = CommunicationNeighbors(range_cells=spec.arena.communication_cells)
+        self._features = make_features(spec.arena, spec.architecture, spec.fpr)
+        read = [key for feature in self._features for key in feature.in_keys]
+        self.in_keys: list[NestedKey] = [*dict.fromkeys((*read, ACTION_MASK, FOV))]
 
     @property
     def actors(self) -> nn.ModuleList:
         """The networks, one per robot or one for all."""
         return self.team.stacked.actors
+
+    @property
+    def any_team(self) -> bool:
+        """Whether it acts for any number of robots."""
+        return self.spec.shared and self.spec.architecture == "deepset"
 
     def actor_of(self, robot: int) -> nn.Module:
         """The network of one robot."""
@@ -91,15 +100,15 @@ class Policy(TensorDictModuleBase):
 
     def use_range(self, cells: float) -> None:
         """Count robots up to this distance (cells) as in range; at first that of the training."""
-        self._net.range_cells = cells
+        set_range(self._features, cells)
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
         observation = tensordict.select(*self.in_keys)
-        fov = observation.get(("agents", "observation", "fov"))
+        fov = observation.get(FOV)
         self.check(robots=fov.shape[-3], fov_size=fov.shape[-1])
-        acted = self.team(self._net(self._fpr(observation)))
+        acted = self.team(self._features(observation))
         return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
 
     def check(self, robots: int, fov_size: int) -> None:
@@ -109,7 +118,7 @@ class Policy(TensorDictModuleBase):
             ValueError: naming both.
         """
         arena = self.spec.arena
-        if robots != arena.num_agents:
+        if robots != arena.num_agents and not self.any_team:
             raise ValueError(
                 f"the policy was trained for num_agents={arena.num_agents}, and the environment "
                 f"has {robots} robots"

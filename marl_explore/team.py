@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -18,7 +19,7 @@ from torchrl.envs import ExplorationType
 from torchrl.envs.utils import exploration_type
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
-from marl_explore.models import OBSERVATION_KEYS, by_robot, robots_first
+from marl_explore.models import by_robot, observation_keys, robots_first
 from marl_explore.stacked import side_by_side
 
 ACTION_MASK: NestedKey = ("agents", "action_mask")
@@ -36,6 +37,7 @@ class StackedActors(nn.Module):
     def __init__(self, actors: Iterable[nn.Module]) -> None:
         super().__init__()
         self.actors = nn.ModuleList(actors)
+        self.inputs: tuple[str, ...] = self.actors[0].inputs  # type: ignore[assignment]
         self._together: list[nn.Module] = []  # a list, so that it is no submodule
 
     @contextmanager
@@ -50,14 +52,14 @@ class StackedActors(nn.Module):
         finally:
             self._together = []
 
-    def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
+    def forward(self, *inputs: Tensor) -> Tensor:
         """Logits [*B, N, 10]; actor i reads row i, a single one reads all rows."""
         if len(self.actors) == 1:
-            return self.actors[0](fov, fpr, net)
+            return self.actors[0](*inputs)
         if self._together:
-            logits = self._together[0](*robots_first(fov, fpr, net))
+            logits = self._together[0](*robots_first(self.inputs, *inputs))
             return logits.movedim(0, -2)
-        robots = by_robot(fov, fpr, net)
+        robots = by_robot(self.inputs, *inputs)
         return torch.stack(
             [actor(*robot) for actor, robot in zip(self.actors, robots, strict=True)], -2
         )
@@ -71,12 +73,13 @@ class TeamActor(TensorDictModuleBase):
     ``set_exploration_type(ExplorationType.DETERMINISTIC)`` asks for the likeliest.
     """
 
-    in_keys: list[NestedKey] = [*OBSERVATION_KEYS, ACTION_MASK]  # noqa: RUF012
     out_keys: list[NestedKey] = [ACTION, LOG_PROB]  # noqa: RUF012
 
     def __init__(self, actors: Iterable[nn.Module]) -> None:
         super().__init__()
         self.stacked = StackedActors(actors)
+        self.observation_keys = observation_keys(self.stacked.inputs)
+        self.in_keys: list[NestedKey] = [*self.observation_keys, ACTION_MASK]
 
     @property
     def _dtype(self) -> torch.dtype:
@@ -85,7 +88,7 @@ class TeamActor(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
-        inputs = (tensordict.get(key) for key in OBSERVATION_KEYS)
+        inputs = (tensordict.get(key) for key in self.observation_keys)
         logits = self.stacked(*(entry.to(self._dtype) for entry in inputs))
         logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
         log_probs = logits.log_softmax(-1)
@@ -106,7 +109,9 @@ def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential
     """
     logits: NestedKey = ("agents", "logits")
     return ProbabilisticActor(
-        TensorDictModule(network, OBSERVATION_KEYS, [logits]),
+        TensorDictModule(
+            network, observation_keys(cast("Sequence[str]", network.inputs)), [logits]
+        ),
         in_keys={"logits": logits, "mask": ACTION_MASK},
         out_keys=[ACTION],
         distribution_class=MaskedCategorical,

@@ -37,6 +37,7 @@ def make_training_env(
         seed=config.seed,
         first_arena=first_arena,
         fpr=config.fpr,
+        architecture=config.architecture,
     )
     env.append_transform(RewardSum())
     return env
@@ -68,6 +69,7 @@ class Trainer:
             config.norm_last,
             config.without,
             shared=config.algorithm == "mappo",
+            communicate_every=config.communicate_every,
         )
         self.policy = Policy(spec, spec.make_actors())
         self.learners = make_learners(config, self.policy)

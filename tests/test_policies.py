@@ -119,3 +119,47 @@ def test_what_is_no_policy_is_refused(tmp_path):
     (tmp_path / "cut.safetensors").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"cut.safetensors is not a readable policy file"):
         load_policy(tmp_path / "cut.safetensors")
+
+
+def a_policy_for_any_team():
+    torch.manual_seed(0)
+    spec = PolicySpec(ArenaConfig(), "deepset", (16, 16), "proximity", shared=True)
+    policy = Policy(spec, spec.make_actors())
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    return policy
+
+
+@pytest.mark.parametrize("robots", [1, 2, 8])
+def test_one_policy_acts_for_any_team_on_any_arena(tmp_path, robots):
+    path = save_policy(a_policy_for_any_team(), tmp_path / "team.safetensors")
+    env = ExplorationEnv(ArenaConfig(height=20, width=9, num_agents=robots), num_envs=5)
+    td = env.rollout(10, policy=load_policy(path))
+    assert td["agents", "action"].shape == (5, 10, robots)
+    chosen = td["agents", "action_mask"].gather(-1, td["agents", "action"].unsqueeze(-1))
+    assert chosen.all()
+
+
+@pytest.mark.parametrize(("every", "times"), [(1, range(6)), (3, (0, 3)), (6, (0,))])
+def test_actors_communicate_when_the_clock_says_so(every, times):
+    spec = PolicySpec(
+        ArenaConfig(), "deepset", (8,), "proximity", shared=True, communicate_every=every
+    )
+    policy = Policy(spec, spec.make_actors())
+    td = ExplorationEnv(num_envs=200).rollout(30, policy=policy)
+    steps = td["step_count"].squeeze(-1)[td["agents", "action"].eq(9).any(-1)] % 6
+    assert set(steps.tolist()) == set(times)
+
+
+def test_the_order_of_the_other_robots_does_not_matter():
+    policy = a_policy_for_any_team()
+    td = ExplorationEnv(num_envs=20).rollout(8)[:, -1]
+    observed = policy._features(td.clone())
+    inputs = [observed[key] for key in policy.team.observation_keys]
+    order = torch.tensor([0, 3, 1, 2])
+    other = [
+        x[:, :, order] if k[-1] == "teammates" else x
+        for k, x in zip(policy.team.observation_keys, inputs, strict=True)
+    ]
+    torch.testing.assert_close(policy.actors[0](*inputs), policy.actors[0](*other))
+    assert not torch.equal(inputs[4], other[4])

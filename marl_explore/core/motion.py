@@ -52,6 +52,27 @@ def random_allowed(mask: Tensor) -> Tensor:
     return choice.view(mask.shape[:-1])
 
 
+def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
+    """The wanted actions; a random open move for who moves again after a refusal, or may not.
+
+    Without this yield rule two robots that want to pass block each other for ever.
+
+    Args:
+        wanted: int64 [*B, N].
+        mask: allowed actions, bool [*B, N, 10].
+        refused: whether the last move was, bool [*B, N].
+
+    Returns:
+        int64 [*B, N].
+    """
+    allowed = mask.gather(-1, wanted.unsqueeze(-1)).squeeze(-1)
+    moves = mask.clone()
+    moves[..., NUM_DIRECTIONS:] = False
+    moves[..., STAY] = ~moves.any(-1)  # only where no move is open
+    blocked = (wanted < NUM_DIRECTIONS) & (refused | ~allowed)
+    return torch.where(blocked, random_allowed(moves), wanted)
+
+
 def dangerous_moves(allowed: Tensor, position: Tensor, action: Tensor) -> Tensor:
     """Robots whose move is refused: closed, to a cell another one chose, or across its way.
 

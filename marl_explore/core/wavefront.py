@@ -69,6 +69,25 @@ def flood(
     return labels, (waited.int() + earlier).add_(1)
 
 
+def nearest_distance(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
+    """Lengths of the shortest 8-connected paths from the nearest start, int32 [M, H, W].
+
+    Cells that no path comes to are as far as there are cells.
+
+    Args:
+        starts: where paths begin, bool [M, H, W].
+        free: cells that they may go on to, bool [M, H, W].
+        passable: a diagonal is closed between two cells that are not, bool [M, H, W].
+    """
+    begin, fresh, beside = (mask(batch_last(x, border=0)) for x in (starts, free, passable))
+    front, sideways, upright = begin.clone(), torch.zeros_like(begin), torch.zeros_like(begin)
+    _spread(front, beside, sideways, upright)
+    labels, distance = flood(front, fresh & ~begin, beside)
+    far = starts.shape[-2] * starts.shape[-1]
+    distance = distance.masked_fill_(labels == 0, far).masked_fill_(begin != 0, 0)
+    return distance[1:-1, 1:-1].permute(2, 0, 1)
+
+
 def _closed(front: Tensor) -> Tensor:
     """0 where any label stands, ALL elsewhere (1 - 1 = 0 and 0 - 1 = 255 in byte arithmetic)."""
     return front.clamp_max(1).sub_(1)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
-from marl_explore.core.motion import random_allowed
+from marl_explore.core.grid import COMMUNICATE
+from marl_explore.core.motion import give_way
 from marl_explore.planners.communication import CommunicationRule
 
 
@@ -58,14 +57,7 @@ class Planner(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
-        mask = tensordict.get(("agents", "action_mask"))
-        wanted = self.plan(tensordict)
-        allowed = mask.gather(-1, wanted.unsqueeze(-1)).squeeze(-1)
-        refused = tensordict.get(("agents", "dangerous"))
-        yielding = mask.clone()
-        yielding[..., NUM_DIRECTIONS:] = False
-        yielding[..., STAY] = ~yielding.any(-1)  # only where no move is open
-        blocked = (wanted < NUM_DIRECTIONS) & (refused | ~allowed)
-        action = torch.where(blocked, random_allowed(yielding), wanted)
+        mask, refused = (tensordict.get(("agents", key)) for key in ("action_mask", "dangerous"))
+        action = give_way(self.plan(tensordict), mask, refused)
         action = action.masked_fill(self.communicate(tensordict), COMMUNICATE)
         return tensordict.set(("agents", "action"), action)

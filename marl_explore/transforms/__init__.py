@@ -2,5 +2,15 @@
 
 from marl_explore.transforms.frontier import FrontierReachability
 from marl_explore.transforms.neighbors import CommunicationNeighbors
+from marl_explore.transforms.surroundings import Clock, LocalMap, StepGain
+from marl_explore.transforms.team import FrontierTerritory, Teammates
 
-__all__ = ["CommunicationNeighbors", "FrontierReachability"]
+__all__ = [
+    "Clock",
+    "CommunicationNeighbors",
+    "FrontierReachability",
+    "FrontierTerritory",
+    "LocalMap",
+    "StepGain",
+    "Teammates",
+]

@@ -5,10 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import Transform
+
+from marl_explore.core.grid import FREE, OCCUPIED, UNKNOWN
+
+_CODES = f"{UNKNOWN} unknown, {FREE} free, {OCCUPIED} occupied"
+
+
+def require_range(range_cells: float) -> None:
+    """Refuse what is no communication range."""
+    if not isinstance(range_cells, (int, float)) or not range_cells >= 0:  # NaN too
+        raise ValueError(f"range_cells={range_cells!r} is not allowed: it must be a number >= 0")
 
 
 class FeatureTransform(Transform):
@@ -107,11 +118,65 @@ class FeatureTransform(Transform):
             entries.append(entry)
         return entries
 
+    def _require_team(self, key: NestedKey, position: Tensor | TensorSpec) -> None:
+        """Refuse what are no positions int64 [*B, N, 2] of a team."""
+        if position.dtype != torch.int64 or position.ndim < 2 or position.shape[-1] != 2:
+            self._refuse(key, "int64 of shape [*B, N, 2] (row, column of every robot)", position)
+
     def _refuse(self, key: NestedKey, needed: str, entry: Tensor | TensorSpec) -> NoReturn:
         raise ValueError(
             f"{type(self).__name__}: {key!r} must be {needed}, got {entry.dtype} of shape "
             f"{tuple(entry.shape)} on {entry.device}"
         )
+
+
+class MapFeature(FeatureTransform):
+    """A feature of maps int8 [*B, H, W] (-1 unknown, 0 free, 1 occupied) and a position in each.
+
+    They are the entries named by ``in_keys``, in this order; positions are int64 [*B, 2]. Those of
+    a feature ``of_team`` are [*B, N, H, W] and [*B, N, 2].
+    """
+
+    of_team = False
+
+    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
+        """Maps and positions must be of these types, on one device."""
+        grid, position = inputs
+        if grid.dtype != torch.int8 or grid.ndim < 2 + self.of_team or 0 in grid.shape[-2:]:
+            axes = "[*B, N, H, W]" if self.of_team else "[*B, H, W]"
+            self._refuse(self.in_keys[0], f"int8 of shape {axes} with {_CODES}", grid)
+        shape = (*grid.shape[:-2], 2)
+        kind = (position.dtype, position.shape, position.device)
+        if kind != (torch.int64, shape, grid.device):
+            on = f" on {grid.device}" if grid.device is not None else ""
+            self._refuse(
+                self.in_keys[1], f"int64 of shape {shape} (row, column of every map){on}", position
+            )
+
+    def check_values(self, *inputs: Tensor) -> None:
+        """Maps hold three codes only, and positions lie in them."""
+        grid, position = inputs
+        other = (grid < UNKNOWN) | (grid > OCCUPIED)
+        if other.any():
+            raise ValueError(
+                f"{type(self).__name__}: {self.in_keys[0]!r} holds {grid[other][0].item()}, which "
+                f"is no code of a cell: {_CODES}"
+            )
+        height, width = grid.shape[-2:]
+        size = torch.tensor([height, width], device=position.device)
+        outside = ((position < 0) | (position >= size)).any(-1)
+        if outside.any():
+            cell = tuple(position[outside][0].tolist())
+            raise ValueError(
+                f"{type(self).__name__}: {self.in_keys[1]!r} holds {cell}, which is outside the "
+                f"map of {height} x {width} cells"
+            )
+
+    def vouch(self, *inputs: TensorSpec) -> bool:
+        """Whether bounds of the specs allow three codes and positions in the map only."""
+        grid, position = inputs
+        last = torch.tensor(grid.shape[-2:], device=position.device) - 1
+        return within(grid, UNKNOWN, OCCUPIED) and within(position, 0, last)
 
 
 def within(spec: TensorSpec, low: Tensor | int, high: Tensor | int) -> bool:

@@ -12,17 +12,16 @@ from torchrl.data import Bounded, TensorSpec
 from marl_explore import native
 from marl_explore.core import frontier
 from marl_explore.core.frontier import NORMALIZATIONS, Normalization
-from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN
+from marl_explore.core.grid import NUM_DIRECTIONS
 from marl_explore.native import operator
-from marl_explore.transforms.base import FeatureTransform, within
+from marl_explore.transforms.base import MapFeature
 
 Backend = Literal["auto", "torch", "native"]
 BACKENDS: tuple[Backend, ...] = ("auto", "torch", "native")
 _FEATURES = 3
-_CODES = f"{UNKNOWN} unknown, {FREE} free, {OCCUPIED} occupied"
 
 
-class FrontierReachability(FeatureTransform):
+class FrontierReachability(MapFeature):
     """The 8 x 3 table of trajectories to the frontiers of each robot's map (Algorithm 1).
 
     Reads maps int8 [*B, H, W] (-1 unknown, 0 free, 1 occupied) and positions int64 [*B, 2];
@@ -68,20 +67,6 @@ class FrontierReachability(FeatureTransform):
         self.backend = backend
         self.levels = levels
 
-    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Maps must be int8 [*B, H, W] and positions int64 [*B, 2], on one device."""
-        grid, position = inputs
-        if grid.dtype != torch.int8 or grid.ndim < 2 or 0 in grid.shape[-2:]:
-            self._refuse(self.in_keys[0], f"int8 of shape [*B, H, W] with {_CODES}", grid)
-        shape = (*grid.shape[:-2], 2)
-        if (position.dtype, position.shape) != (torch.int64, shape) or (
-            position.device != grid.device
-        ):
-            on = f" on {grid.device}" if grid.device is not None else ""
-            self._refuse(
-                self.in_keys[1], f"int64 of shape {shape} (row, column of every map){on}", position
-            )
-
     def compute(self, *inputs: Tensor) -> Tensor:
         """The feature table float32 [*B, 8, 3] of maps [*B, H, W] and positions [*B, 2]."""
         grid, position = inputs
@@ -93,31 +78,6 @@ class FrontierReachability(FeatureTransform):
         if self.backend == "auto":
             return grid.device.type == "cpu" and self.levels is None and native.missing() is None
         return self.backend == "native"
-
-    def check_values(self, *inputs: Tensor) -> None:
-        """Maps hold three codes only, and positions lie in them."""
-        grid, position = inputs
-        other = (grid < UNKNOWN) | (grid > OCCUPIED)
-        if other.any():
-            raise ValueError(
-                f"FrontierReachability: {self.in_keys[0]!r} holds {grid[other][0].item()}, which "
-                f"is no code of a cell: {_CODES}"
-            )
-        height, width = grid.shape[-2:]
-        size = torch.tensor([height, width], device=position.device)
-        outside = ((position < 0) | (position >= size)).any(-1)
-        if outside.any():
-            cell = tuple(position[outside][0].tolist())
-            raise ValueError(
-                f"FrontierReachability: {self.in_keys[1]!r} holds {cell}, which is outside the "
-                f"map of {height} x {width} cells"
-            )
-
-    def vouch(self, *inputs: TensorSpec) -> bool:
-        """Whether bounds of the specs allow three codes and positions in the map only."""
-        grid, position = inputs
-        last = torch.tensor(grid.shape[-2:], device=position.device) - 1
-        return within(grid, UNKNOWN, OCCUPIED) and within(position, 0, last)
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
         """Bounds of the table: 1 where normalised by the robot's own longest path."""

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from marl_explore.core.radio import in_range
-from marl_explore.transforms.base import FeatureTransform
+from marl_explore.transforms.base import FeatureTransform, require_range
 
 
 class CommunicationNeighbors(FeatureTransform):
@@ -32,20 +32,14 @@ class CommunicationNeighbors(FeatureTransform):
         out_key: NestedKey = ("agents", "observation", "net"),
         range_cells: float = 6.4,
     ) -> None:
-        if not isinstance(range_cells, (int, float)) or not range_cells >= 0:  # NaN too
-            raise ValueError(
-                f"range_cells={range_cells!r} is not allowed: it must be a number >= 0"
-            )
+        require_range(range_cells)
         super().__init__([position_key], out_key)
         self.range_cells = range_cells
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
         """Positions must be int64 [*B, N, 2]."""
         (position,) = inputs
-        if position.dtype != torch.int64 or position.ndim < 2 or position.shape[-1] != 2:
-            self._refuse(
-                self.in_keys[0], "int64 of shape [*B, N, 2] (row, column of every robot)", position
-            )
+        self._require_team(self.in_keys[0], position)
 
     def compute(self, position: Tensor) -> Tensor:  # type: ignore[override]
         """NET float32 [*B, N, N] of positions [*B, N, 2]."""

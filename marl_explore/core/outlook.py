@@ -1,0 +1,106 @@
+"""What the eight directions offer a robot of a team: cells it would see, frontiers left to it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.frontier import frontier_mask, paths
+from marl_explore.core.grid import (
+    FREE,
+    NUM_DIRECTIONS,
+    OCCUPIED,
+    UNKNOWN,
+    compass,
+    flat_cell,
+    other_robots,
+)
+from marl_explore.core.wavefront import nearest_distance
+
+MANY_FRONTIERS = 8
+"""So many frontiers in a direction read as one half."""
+
+
+def unknown_around(grid: Tensor, radius: int) -> Tensor:
+    """Unknown cells in the square around each cell, float32 [*B, H, W], of maps [*B, H, W]."""
+    unknown = (grid == UNKNOWN).float().reshape(-1, 1, *grid.shape[-2:])
+    side = 2 * radius + 1
+    mean = torch.nn.functional.avg_pool2d(unknown, side, stride=1, padding=radius)
+    return (mean * side**2).round().view(grid.shape)
+
+
+def step_gains(grid: Tensor, position: Tensor, radius: int) -> Tensor:
+    """Cells a robot would see for the first time after each move.
+
+    Args:
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2].
+        radius: of the square it sees (cells).
+
+    Returns:
+        float32 [*B, 8]; 0 where the move is known to be blocked.
+    """
+    height, width = grid.shape[-2:]
+    target = position.unsqueeze(-2) + compass(grid.device)
+    size = torch.tensor([height, width], device=grid.device)
+    inside = ((target >= 0) & (target < size)).all(-1)
+    target = target.clamp(torch.zeros_like(size), size - 1)
+
+    def at(cells: Tensor, row: Tensor, column: Tensor) -> Tensor:
+        return cells.flatten(-2).gather(-1, row * width + column)
+
+    row, column = target.unbind(-1)
+    own_row, own_column = (entry.expand_as(row) for entry in position.unsqueeze(-2).unbind(-1))
+    walled = (at(grid, row, own_column) == OCCUPIED) & (at(grid, own_row, column) == OCCUPIED)
+    diagonal = (row != own_row) & (column != own_column)
+    allowed = inside & (at(grid, row, column) == FREE) & ~(walled & diagonal)
+    return at(unknown_around(grid, radius), row, column) * allowed
+
+
+def territory_table(grid: Tensor, position: Tensor, reach: Tensor, radius: int) -> Tensor:
+    """The frontiers to which no other robot in range is nearer, by the first move to them.
+
+    Distances are those of FPR, on the robot's own map; a robot in range may stand in a cell that
+    the map does not know. Per direction: how many such frontiers there are, n / (n + 8); how near
+    the nearest is, 1 / moves; and the largest share of unknown cells in the square around one of
+    them, divided by the moves there.
+
+    Args:
+        grid: maps of a team, int8 [*B, N, H, W].
+        position: int64 [*B, N, 2].
+        reach: pairs of robots in range, bool [*B, N, N].
+        radius: of the square a robot sees (cells).
+
+    Returns:
+        float32 [*B, N, 8, 3].
+    """
+    direction, length = paths(grid, position)
+    mine = frontier_mask(grid) & (length > 0)
+    mine &= length <= _others_distance(grid, position, reach)
+    bins = torch.where(mine, direction, NUM_DIRECTIONS).flatten(-2)
+    nearness = 1 / length.clamp_min(1).float()
+    share = unknown_around(grid, radius) / (2 * radius + 1) ** 2
+
+    def by_direction(values: Tensor, reduce: str) -> Tensor:
+        empty = values.new_zeros(*bins.shape[:-1], NUM_DIRECTIONS + 1)
+        return empty.scatter_reduce(-1, bins, values.flatten(-2), reduce)[..., :NUM_DIRECTIONS]
+
+    number = by_direction(torch.ones_like(nearness), "sum")
+    return torch.stack(
+        (
+            number / (number + MANY_FRONTIERS),
+            by_direction(nearness, "amax"),
+            by_direction(share * nearness, "amax"),
+        ),
+        -1,
+    )
+
+
+def _others_distance(grid: Tensor, position: Tensor, reach: Tensor) -> Tensor:
+    """Moves from the nearest other robot in range to every cell of a robot's map, [*B, N, H, W]."""
+    robots, height, width = grid.shape[-3:]
+    others = reach & other_robots(robots, grid.device).bool()
+    cell = flat_cell(position, width).unsqueeze(-2).expand_as(others)
+    starts = torch.zeros_like(grid, dtype=torch.bool).flatten(-2).scatter(-1, cell, others)
+    starts, grids = starts.view(-1, height, width), grid.reshape(-1, height, width)
+    return nearest_distance(starts, grids == FREE, grids != OCCUPIED).view(grid.shape)

@@ -1,0 +1,116 @@
+"""What robots of a team know of one another, and which frontiers that leaves to each."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
+
+from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
+from marl_explore.core.outlook import territory_table
+from marl_explore.core.radio import in_range
+from marl_explore.transforms.base import FeatureTransform, MapFeature, require_range
+
+NEAR_CELLS, FEW_CELLS, SHORT_STEPS = 8, 16, 8
+"""Scales at which distances, unshared cells and waiting times are told apart best."""
+
+
+class FrontierTerritory(MapFeature):
+    """The frontiers to which no other robot in range is nearer, by direction.
+
+    Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32 [*B, N, 8, 3]
+    (``core.outlook.territory_table``).
+
+    Args:
+        map_key: entry with the maps of a team.
+        position_key: entry with the (row, column) positions.
+        out_key: entry to write.
+        range_cells: largest distance at which robots know of each other (cells).
+        radius: of the square that a robot sees (cells).
+    """
+
+    of_team = True
+
+    def __init__(
+        self,
+        map_key: NestedKey = ("agents", "map"),
+        position_key: NestedKey = ("agents", "position"),
+        out_key: NestedKey = ("agents", "observation", "territory"),
+        range_cells: float = 6.4,
+        radius: int = 1,
+    ) -> None:
+        require_range(range_cells)
+        super().__init__([map_key, position_key], out_key)
+        self.range_cells, self.radius = range_cells, radius
+
+    def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
+        """The table float32 [*B, N, 8, 3]."""
+        reach = in_range(position, self.range_cells)
+        return territory_table(grid, position, reach, self.radius)
+
+    def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
+        """Bounds 0 and 1, shape [*B, N, 8, 3]."""
+        shape = (*position.shape[:-1], NUM_DIRECTIONS, 3)
+        return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)
+
+
+class Teammates(FeatureTransform):
+    """What each robot knows of every other one: where it is, and what was exchanged with it.
+
+    Reads positions int64 [*B, N, 2], own cells since the last merge int64 [*B, N, N] (q_ij) and
+    steps since then int64 [*B, N, N]; writes float32 [*B, N, N, 6]: 1 for others in range; their
+    relative row and column over 8 cells, at most 1, and 1 / distance (0 out of range); q / (q + 16)
+    and s / (s + 8). All are 0 for the robot itself.
+
+    Args:
+        position_key: entry with the (row, column) positions.
+        unshared_key: entry with q_ij.
+        since_key: entry with the steps since the last merge.
+        out_key: entry to write.
+        range_cells: largest distance at which robots know of each other (cells).
+    """
+
+    def __init__(
+        self,
+        position_key: NestedKey = ("agents", "position"),
+        unshared_key: NestedKey = ("agents", "unshared"),
+        since_key: NestedKey = ("agents", "steps_since_merge"),
+        out_key: NestedKey = ("agents", "observation", "teammates"),
+        range_cells: float = 6.4,
+    ) -> None:
+        require_range(range_cells)
+        super().__init__([position_key, unshared_key, since_key], out_key)
+        self.range_cells = range_cells
+
+    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
+        """Positions must be int64 [*B, N, 2], the others int64 [*B, N, N]."""
+        position = inputs[0]
+        self._require_team(self.in_keys[0], position)
+        shape = (*position.shape[:-1], position.shape[-2])
+        for key, entry in zip(self.in_keys[1:], inputs[1:], strict=True):
+            if (entry.dtype, entry.shape) != (torch.int64, shape):
+                self._refuse(key, f"int64 of shape {shape}", entry)
+
+    def compute(self, position: Tensor, unshared: Tensor, since: Tensor) -> Tensor:  # type: ignore[override]
+        """The features float32 [*B, N, N, 6]."""
+        others = other_robots(position.shape[-2], position.device)
+        near = (in_range(position, self.range_cells) * others).float()
+        offset = (position.unsqueeze(-3) - position.unsqueeze(-2)).float()
+        distance = offset.norm(dim=-1).clamp_min(1)
+        place = (offset / NEAR_CELLS).clamp(-1, 1) * near.unsqueeze(-1)
+        return torch.stack(
+            (
+                near,
+                *place.unbind(-1),
+                near / distance,
+                unshared / (unshared + FEW_CELLS) * others,
+                since / (since + SHORT_STEPS) * others,
+            ),
+            -1,
+        )
+
+    def feature_spec(self, position: TensorSpec, *_: TensorSpec) -> TensorSpec:
+        """Bounds -1 and 1, shape [*B, N, N, 6]."""
+        shape = (*position.shape[:-1], position.shape[-2], 6)
+        return Bounded(-1, 1, shape=shape, dtype=torch.float32, device=position.device)

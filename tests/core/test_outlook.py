@@ -1,0 +1,136 @@
+"""What directions offer a robot of a team: against slow loops on real episodes, and by hand."""
+
+from __future__ import annotations
+
+import torch
+from hypothesis import given
+
+from marl_explore.core.frontier import paths
+from marl_explore.core.outlook import step_gains, territory_table, unknown_around
+from marl_explore.core.radio import in_range
+from marl_explore.core.world import advance, start
+from tests import reference
+from tests.boards import known_map
+from tests.strategies import repeatable, scenarios
+
+
+def unknown_in_square(map_, cell, radius):
+    """Unknown cells of the arena in the square around a cell."""
+    square = [
+        (cell[0] + row, cell[1] + column)
+        for row in range(-radius, radius + 1)
+        for column in range(-radius, radius + 1)
+    ]
+    return sum(reference.inside(map_, c) and map_[c[0]][c[1]] == reference.UNKNOWN for c in square)
+
+
+def grids(map_):
+    """Where paths may go, and what closes a diagonal."""
+    free = [[value == reference.FREE for value in row] for row in map_]
+    return free, [[value == reference.OCCUPIED for value in row] for row in map_]
+
+
+def slow_gains(map_, position, radius):
+    free, occupied = grids(map_)
+    return [
+        unknown_in_square(map_, reference.shifted(position, direction), radius)
+        if reference.may_move(free, occupied, position, direction)
+        else 0
+        for direction in reference.COMPASS
+    ]
+
+
+def slow_territory(map_, positions, robot, near, radius):
+    """The table of one robot, [8][3]."""
+    free, occupied = grids(map_)
+    own = tuple(positions[robot])
+    others = []
+    for other, position in enumerate(positions):
+        if other != robot and near[other]:
+            others.append(reference.distances(free, occupied, tuple(position)))
+    cells = [cell for cell in reference.frontiers(map_) if cell != own]
+    reachable = reference.distances(free, occupied, own)
+    moves = dict(
+        zip((c for c in cells if c in reachable), reference.trajectories(map_, own), strict=True)
+    )
+    table = [[0.0, 0.0, 0.0] for _ in range(8)]
+    for cell, (first, length) in moves.items():
+        if any(distance.get(cell, 999) < length for distance in others):
+            continue
+        share = unknown_in_square(map_, cell, radius) / (2 * radius + 1) ** 2
+        number, nearness, best = table[first]
+        table[first] = [number + 1, max(nearness, 1 / length), max(best, share / length)]
+    return [[n / (n + 8), nearness, best] for n, nearness, best in table]
+
+
+@repeatable(max_examples=40)
+@given(scenario=scenarios())
+def test_gains_and_territories_of_real_episodes_agree_with_slow_loops(scenario):
+    state = start(scenario.config, scenario.obstacles, scenario.positions)
+    for action in scenario.actions:
+        state, _ = advance(scenario.config, state, action)
+    radius = scenario.config.fov_radius
+    reach = in_range(state.position, scenario.config.communication_cells)
+    gains = step_gains(state.map, state.position, radius).tolist()
+    tables = territory_table(state.map, state.position, reach, radius)
+    for b, (maps, positions) in enumerate(
+        zip(state.map.tolist(), state.position.tolist(), strict=True)
+    ):
+        for i, map_ in enumerate(maps):
+            assert gains[b][i] == slow_gains(map_, tuple(positions[i]), radius)
+            expected = slow_territory(map_, positions, i, reach[b, i].tolist(), radius)
+            torch.testing.assert_close(tables[b, i], torch.tensor(expected))
+
+
+def test_unknown_cells_around_are_those_of_the_arena():
+    grid = torch.tensor([[-1, -1, 0], [-1, 0, 1]], dtype=torch.int8)
+    assert unknown_around(grid, 1).tolist() == [[3, 3, 1], [3, 3, 1]]
+    assert (unknown_around(grid, 3) == 3).all()
+
+
+def territory(board, *others, reach=True):
+    """Table [8, 3] of the robot ``@`` on a drawn map, beside robots at these cells."""
+    grid, own = known_map(board)
+    position = torch.stack((own, *map(torch.tensor, others)))
+    near = torch.full((len(position), len(position)), reach) | torch.eye(len(position)).bool()
+    return territory_table(grid.expand(len(position), -1, -1), position, near, radius=1)[0]
+
+
+CORRIDOR = "?..@..?"
+EAST, WEST = 2, 6
+
+
+def test_of_two_frontiers_the_other_robot_takes_the_nearer_one():
+    alone = territory(CORRIDOR)
+    torch.testing.assert_close(alone[EAST], torch.tensor([1 / 9, 1 / 2, 1 / 9 / 2]))
+    torch.testing.assert_close(alone[WEST], alone[EAST])
+    beside = territory(CORRIDOR, (0, 4))
+    assert (beside[EAST] == 0).all()
+    assert torch.equal(beside[WEST], alone[WEST])
+
+
+def test_a_robot_out_of_range_takes_nothing():
+    assert torch.equal(territory(CORRIDOR, (0, 4), reach=False), territory(CORRIDOR))
+
+
+def test_equally_near_robots_both_keep_a_frontier():
+    board = "@.?..\n....."  # frontiers in the second, third and fourth columns
+    torch.testing.assert_close(territory(board)[:, 0].sum(), torch.tensor(3 / 11))
+    torch.testing.assert_close(territory(board, (0, 4))[:, 0].sum(), torch.tensor(2 / 10))
+
+
+def test_a_robot_where_the_map_knows_nothing_still_counts():
+    corridor = "@....??"
+    assert territory(corridor)[EAST, 0] > 0
+    assert (territory(corridor, (0, 5))[EAST] == 0).all()
+
+
+def test_moves_that_are_known_to_be_blocked_gain_nothing():
+    grid, position = known_map("?????\n??#.?\n?#@.?\n??..?\n?????")
+    gains = dict(enumerate(step_gains(grid, position, 1).tolist()))
+    assert gains[7] == 0  # north-west lies unknown behind two occupied cells
+    assert gains[0] == gains[6] == 0
+    assert gains[1] == 5
+    direction, length = paths(grid, position)
+    assert length[1, 3] == 1
+    assert direction[1, 3] == 1
