@@ -185,6 +185,8 @@ class TrainConfig:
     """Widths of the hidden layers; a CNN uses the last one."""
     norm_last: bool = False
     """Whether the last hidden layer of an MLP is normalised too."""
+    start_from: str | None = None
+    """Policy whose actors the run starts from: a file, a run folder or a bundled one's name."""
     without: tuple[Ability, ...] = ()
     """What actors must do without: parts of the observation (they read 0), or to communicate."""
     communicate_every: int = 1

@@ -98,6 +98,24 @@ class Policy(TensorDictModuleBase):
         """The network of one robot."""
         return self.actors[0 if self.spec.shared else robot]
 
+    def start_from(self, other: Policy) -> None:
+        """Take the weights of another policy's actors; those of a shared one for every robot.
+
+        Raises:
+            ValueError: when its networks are others, or it has fewer actors.
+        """
+        kind, theirs = (
+            (spec.architecture, spec.hidden, spec.norm_last, spec.without, spec.arena.fov_size)
+            for spec in (self.spec, other.spec)
+        )
+        enough = other.spec.shared or len(other.actors) >= len(self.actors)
+        if kind != theirs or not enough:
+            raise ValueError(
+                f"{len(self.actors)} actors {kind} cannot start from {len(other.actors)} {theirs}"
+            )
+        for robot, actor in enumerate(self.actors):
+            actor.load_state_dict(other.actor_of(robot).state_dict())
+
     def use_range(self, cells: float) -> None:
         """Count robots up to this distance (cells) as in range; at first that of the training."""
         set_range(self._features, cells)

@@ -18,7 +18,7 @@ from marl_explore.factor import FactorWatch
 from marl_explore.finite import require_finite_batch
 from marl_explore.learners import make_learners
 from marl_explore.make import make_env
-from marl_explore.policies import Policy, PolicySpec
+from marl_explore.policies import Policy, PolicySpec, load_policy
 from marl_explore.rollouts import Rollouts
 from marl_explore.training_metrics import rollout_metrics
 
@@ -72,6 +72,8 @@ class Trainer:
             communicate_every=config.communicate_every,
         )
         self.policy = Policy(spec, spec.make_actors())
+        if config.start_from is not None:
+            self.policy.start_from(load_policy(config.start_from))
         self.learners = make_learners(config, self.policy)
         if config.compile:
             critics = [learner.critic for learner in self.learners.values()]

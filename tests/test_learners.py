@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from marl_explore import ArenaConfig
 from marl_explore.config import TrainConfig
 from marl_explore.learners import make_learners
-from marl_explore.policies import Policy, PolicySpec
+from marl_explore.policies import Policy, PolicySpec, save_policy
 from marl_explore.trainer import Trainer
 
 ROBOTS = 3
@@ -117,6 +117,18 @@ def test_every_algorithm_starts_from_actors_of_its_own():
         assert len(trainer.policy.actors) == actors
         names = [name for learner in trainer.learners.values() for name in learner.loss.names]
         assert len(names) == actors
+
+
+def test_a_run_starts_from_another_policy(tmp_path):
+    shared = trainer_of("mappo").policy
+    torch.nn.init.normal_(shared.actors[0].layers[0].weight)
+    path = save_policy(shared, tmp_path / "shared.safetensors")
+    trainer = Trainer(replace(CONFIG, start_from=str(path)))
+    weights = [actor.layers[0].weight for actor in trainer.policy.actors]
+    assert all(weight.equal(shared.actors[0].layers[0].weight) for weight in weights)
+    assert len({id(weight) for weight in weights}) == ROBOTS
+    with pytest.raises(ValueError, match=r"3 actors \('mlp', \(8,\), .* cannot start from 1 "):
+        Trainer(replace(CONFIG, start_from=str(path), hidden=(8,)))
 
 
 def test_ippo_with_a_critic_on_the_state_is_refused():
