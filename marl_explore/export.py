@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from marl_explore.codes import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATURES
 from marl_explore.config import ArenaConfig
 from marl_explore.files import whole_file
+from marl_explore.models import PAPER_INPUTS
 from marl_explore.policies import Policy
 from marl_explore.robot.policy import FORMAT
 
@@ -59,7 +60,14 @@ class Deployed(nn.Module):
 
 
 def spec_text(policy: Policy) -> str:
-    """What the networks are, as JSON: format, arena, architecture, FPR's normalisation."""
+    """What the networks are, as JSON: format, arena, architecture, FPR's normalisation.
+
+    Raises:
+        ValueError: for actors that read more than robots compute, which is FOV, FPR and NET.
+    """
+    read = policy.team.stacked.inputs
+    if read != PAPER_INPUTS:
+        raise ValueError(f"actors that read {read} cannot be exported: robots have {PAPER_INPUTS}")
     return json.dumps({"format": FORMAT, **asdict(policy.spec)})
 
 
@@ -71,17 +79,19 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
         path: file to write, ending in .npz.
 
     Raises:
-        ValueError: for another ending, or a folder that does not exist.
+        ValueError: for another ending, a folder that does not exist, or actors that read more
+            than FOV, FPR and NET.
     """
     path = Path(path)
     if path.suffix != ".npz" or not path.parent.is_dir():
         raise ValueError(
             f"path={str(path)!r} is not allowed: it must end in .npz, in an existing folder"
         )
+    told = spec_text(policy)
     weights = policy.actors.state_dict()
     arrays = {name: tensor.float().numpy() for name, tensor in weights.items()}
     with whole_file(path) as unfinished, unfinished.open("wb") as file:
-        np.savez(file, spec=np.array(spec_text(policy)), **arrays)
+        np.savez(file, spec=np.array(told), **arrays)
     return path
 
 
@@ -97,16 +107,18 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
 
     Raises:
         ModuleNotFoundError: without onnx and onnxscript.
+        ValueError: for actors that read more than FOV, FPR and NET.
     """
     import onnx
 
+    told = spec_text(policy)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for robot in range(policy.spec.arena.num_agents):
         model = _graph(Deployed(policy.actor_of(robot)).float().eval(), policy.spec.arena)
         described = {
-            "spec": spec_text(policy),
+            "spec": told,
             "robot": str(robot),
             "not in the graph": NOT_IN_THE_GRAPH,
         }

@@ -100,3 +100,12 @@ def test_what_is_no_exported_policy_is_refused(tmp_path):
     path = export_npz(a_policy(), tmp_path / "policy.npz")
     with pytest.raises(ValueError, match="robot=4 is not allowed: .* of 4"):
         ExportedPolicy(path, 4)
+
+
+def test_actors_that_read_more_than_robots_compute_are_refused(tmp_path):
+    policy = a_policy("deepset", shared=True)
+    with pytest.raises(
+        ValueError, match=r"actors that read \('fov', .*'local'\) cannot be exported"
+    ):
+        export_npz(policy, tmp_path / "policy.npz")
+    assert not list(tmp_path.iterdir())

@@ -18,6 +18,7 @@ from marl_explore.models.ablation import Ablated
 from marl_explore.models.deepset import DeepSetActor
 from marl_explore.models.inputs import (
     OBSERVATION_KEYS,
+    PAPER_INPUTS,
     by_robot,
     in_a_row,
     observation_keys,
@@ -29,6 +30,7 @@ from marl_explore.models.state import STATE_KEYS, StateCritic
 
 __all__ = [
     "OBSERVATION_KEYS",
+    "PAPER_INPUTS",
     "STATE_KEYS",
     "Ablated",
     "CNNActor",
