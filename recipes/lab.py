@@ -62,7 +62,7 @@ def parse() -> Arguments:
 
 def run(arguments: Arguments) -> None:
     """Explore, print what was measured, and write it with the figure."""
-    from matplotlib import pyplot
+    from matplotlib import image
 
     from marl_explore import ExplorationEnv, load_policy, runs
     from marl_explore.evaluation import TEST_STREAM
@@ -82,7 +82,7 @@ def run(arguments: Arguments) -> None:
     explored = lab.run(arguments.steps)
     folder = runs.new_folder(arguments.out)
     if arguments.picture:
-        pyplot.imsave(folder / "arena.png", lab.world.render())
+        image.imsave(folder / "arena.png", lab.world.render())
     lab_figure(explored.coverage(), folder / "lab.png")
     summary = explored.summary()
     coverage = {name: curve.mean(0).tolist() for name, curve in explored.coverage().items()}
