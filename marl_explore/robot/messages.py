@@ -148,3 +148,21 @@ class Envelope:
     to: tuple[int, ...]
     """Who is to get it."""
     message: Message
+
+    def check(self, robots: int, shape: tuple[int, int]) -> None:
+        """Refuse what cannot come from a team.
+
+        Args:
+            robots: its size, N.
+            shape: of its maps, [H, W].
+
+        Raises:
+            ValueError: naming what does not fit.
+        """
+        for number in (self.sender, self.message.robot):
+            if number >= robots:
+                raise ValueError(f"a message of robot {number} is not allowed: 0 to {robots - 1}")
+        if isinstance(self.message, Share) and self.message.map.shape != shape:
+            raise ValueError(
+                f"a map of shape {self.message.map.shape} is not allowed: the arena's is {shape}"
+            )

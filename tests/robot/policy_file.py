@@ -8,11 +8,15 @@ from dataclasses import asdict
 import numpy as np
 
 from marl_explore import ArenaConfig
+from marl_explore.codes import COMMUNICATE
 from marl_explore.robot.policy import FORMAT
 
 
-def policy_file(folder, robots=4, seed=0, **arena):
-    """An MLP for every robot whose actions are nearly equally likely; FPR by "proximity"."""
+def policy_file(folder, robots=4, seed=0, talkative=0.0, **arena):
+    """An MLP for every robot, FPR by "proximity"; its actions are nearly equally likely.
+
+    ``talkative`` is added to the logit of communicating.
+    """
     chance = np.random.default_rng(seed)
     config = ArenaConfig(num_agents=robots, **arena)
     spec = {"format": FORMAT, "arena": asdict(config), "architecture": "mlp", "fpr": "proximity"}
@@ -23,6 +27,7 @@ def policy_file(folder, robots=4, seed=0, **arena):
             weights = (0.1 * chance.normal(size=shape)).astype(np.float32)
             arrays[f"{robot}.actor.{name}.weight"] = weights
             arrays[f"{robot}.actor.{name}.bias"] = np.zeros(shape[0], np.float32)
+        arrays[f"{robot}.actor.layers.2.bias"][COMMUNICATE] = talkative
     path = folder / "policy.npz"
     np.savez(path, **arrays)
     return path
