@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,11 @@ class Pose:
     """North (metres)."""
     yaw: float
     """Heading, 0 east and counter-clockwise (radians)."""
+
+    def ahead(self, distance: float) -> Pose:
+        """The pose so far ahead (metres)."""
+        x, y = self.x + distance * math.cos(self.yaw), self.y + distance * math.sin(self.yaw)
+        return replace(self, x=x, y=y)
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,7 @@ def test_layouts_of_another_size_are_refused():
 def test_the_recipe_draws_the_papers_figure(tmp_path):
     path = save_policy(a_policy(), tmp_path / "team.safetensors")
     command = [sys.executable, ROOT / "recipes" / "lab.py", path, "--layouts", "2", "--steps", "3"]
-    command.append("--picture")
+    command += ["--picture", "True"]
     done = subprocess.run(
         [*command, "--out", tmp_path / "lab"], capture_output=True, text=True, timeout=300
     )
