@@ -87,7 +87,7 @@ class LabNode(Node):
         for robot, name in enumerate(given.team):
             take = partial(self._take_velocity, robot)
             self.create_subscription(kind, f"/{name}/cmd_vel", take, 1)
-        self._clock = self.create_publisher(Clock, "/clock", 1)
+        self._time = self.create_publisher(Clock, "/clock", 1)
         self._poses = [
             self.create_publisher(PoseStamped, f"/{name}/pose", qos_profile_sensor_data)
             for name in given.team
@@ -133,7 +133,7 @@ class LabNode(Node):
             self._next_scan += self.given.scan_period
             self._send_scans()
         self._contacts.publish(UInt32(data=self.world.contacts.total()))
-        self._clock.publish(Clock(clock=self._stamp()))
+        self._time.publish(Clock(clock=self._stamp()))
 
     def _velocity(self, velocity: Velocity, told: float) -> Velocity:
         """What a robot's wheels do: nothing when they were told too long ago."""

@@ -46,6 +46,9 @@ def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], 
         make: the node.
         args: command line.
         stop: called with the node when it has to end, while it can still publish.
+
+    Raises:
+        SystemExit: with what is wrong, when the node refuses its parameters.
     """
     told: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -53,7 +56,10 @@ def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], 
         signal.signal(number, lambda number, frame: told.append(number))
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = make()
+        try:
+            node = make()
+        except ValueError as error:
+            raise SystemExit(f"error: {error}") from None
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not told:

@@ -137,6 +137,7 @@ def replay(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
 def _message(kind: str, fields: Mapping[str, Any]) -> Any:
     """A message of rosbags, zero where no field is given."""
     values = {}
+    detail: Any  # of a nested message its kind, of a sequence what is in it
     for name, (node, detail) in _TYPES.fielddefs[kind][1]:
         if node is Nodetype.NAME:
             values[name] = _message(detail, fields.get(name, {}))

@@ -5,6 +5,7 @@ With ``--dry-run`` it senses, decides and talks, and sends no velocity.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt8MultiArray
 
@@ -21,8 +23,6 @@ from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS, declare, run, time_of
 from marl_explore.ros2.parameters import RobotParameters, declared
-
-DRY_RUN = "--dry-run"
 
 
 class RobotNode(Node):
@@ -114,9 +114,11 @@ class RobotNode(Node):
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until it is told to end."""
-    words = list(sys.argv if args is None else args)
-    dry_run = DRY_RUN in words
-    run(lambda: RobotNode(dry_run), [word for word in words if word != DRY_RUN], RobotNode.stop)
+    words = sys.argv if args is None else args
+    parser = argparse.ArgumentParser(prog="robot_node", description="One robot of the team.")
+    parser.add_argument("--dry-run", action="store_true", help="send no velocity")
+    given = parser.parse_args(remove_ros_args(words)[1:])
+    run(lambda: RobotNode(given.dry_run), words, RobotNode.stop)
 
 
 if __name__ == "__main__":

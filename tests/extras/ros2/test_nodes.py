@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import subprocess
 from contextlib import contextmanager
 
 import numpy as np
@@ -97,6 +98,27 @@ def test_a_dry_run_sends_no_velocity_and_broken_letters_are_dropped(workspace, t
         assert travelled(watcher.poses[0]) < 0.1  # noise alone
     said = (tmp_path / "robot_1.log").read_text()
     assert said.count("dropped a letter") == 3
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "said"),
+    [
+        ("robot_node", ["--dryrun"], "unrecognized arguments: --dryrun"),
+        ("robot_node", [], "error: policy='' is not allowed"),
+        ("lab_sim", ["--ros-args", "-p", "speed:=0.0"], "error: speed=0.0 is not allowed"),
+        ("lab_sim", ["--ros-args", "-p", "arena.num_agents:=2"], "the arena has 2 robots"),
+    ],
+)
+def test_what_cannot_work_is_refused_in_a_line(workspace, program, words, said):
+    done = subprocess.run(
+        [workspace.install / "lib" / "marl_explore_ros2" / program, *words],
+        env=workspace.environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode in (1, 2)
+    assert said in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
 
 
 def travelled(poses):
