@@ -16,7 +16,6 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock as SystemClock
 from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
@@ -30,8 +29,8 @@ from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Frame
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LATEST, declare, run
-from marl_explore.ros2.parameters import declared, four_robots
+from marl_explore.ros2.node import LATEST, ParameterNode, run
+from marl_explore.ros2.parameters import four_robots
 
 
 @dataclass(frozen=True)
@@ -69,15 +68,15 @@ class LabParameters:
             )
 
 
-class LabNode(Node):
+class LabNode(ParameterNode[LabParameters]):
     """Lets time pass in the lab: scans, poses and the clock go out, velocities come in.
 
     Time stands still until every robot that is alive has answered the last step.
     """
 
     def __init__(self) -> None:
-        super().__init__("lab_sim")
-        self.given = given = declared(declare(self), LabParameters())
+        super().__init__("lab_sim", LabParameters())
+        given = self.given
         self.world = self._make_world()
         self._velocities = [(ZERO, 0.0)] * len(given.team)
         self._heard: dict[int, float] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -13,6 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from marl_explore.ros2.convert import to_seconds
+from marl_explore.ros2.parameters import Given, flat, replaced
 
 
 def _kept(depth: int) -> QoSProfile:
@@ -29,14 +30,36 @@ LATEST = _kept(1)
 """Of maps, the last one."""
 
 
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
 def time_of(node: Node) -> float:
     """The node's time (seconds), simulated if ``use_sim_time``; 0 before it is known."""
     return to_seconds(node.get_clock().now().to_msg())
 
 
-def declare(node: Node) -> Callable[[str, Any], Any]:
-    """How a node declares a parameter."""
-    return lambda name, default: node.declare_parameter(name, default).value
+class ParameterNode(Node, Generic[Given]):
+    """A node whose parameters are the fields of a dataclass.
+
+    Args:
+        name: of the node.
+        default: the values where nothing is given.
+
+    Raises:
+        ValueError: for a parameter that there is not, or a value that is not allowed.
+    """
+
+    def __init__(self, name: str, default: Given) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        given = {
+            name: parameter.value
+            for name, parameter in self.get_parameters_by_prefix("").items()
+            if not name.startswith(_OF_ROS)
+        }
+        self.given = replaced(default, given)
+        for name, value in flat(default).items():
+            if name not in given:
+                self.declare_parameter(name, value)
 
 
 def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], None]) -> None:

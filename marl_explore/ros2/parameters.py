@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,28 +11,48 @@ from typing import Any, TypeVar
 from marl_explore.config import require_positive
 from marl_explore.robot import BarrierClock, ExportedPolicy, PeriodClock, RobotCore, Settings
 
-Declared = TypeVar("Declared")
-Declare = Callable[[str, Any], Any]
-"""(name, default) -> value, as by ``rclpy.node.Node.declare_parameter(...).value``."""
+Given = TypeVar("Given")
 
 
-def declared(declare: Declare, default: Declared, prefix: str = "") -> Declared:
-    """A dataclass with every field declared, those of dataclasses in it as ``outer.inner``.
+def flat(values: Any, prefix: str = "") -> dict[str, Any]:
+    """The fields of a dataclass by name, those of dataclasses in it as ``outer.inner``."""
+    fields: dict[str, Any] = {}
+    for entry in dataclasses.fields(values):
+        value, name = getattr(values, entry.name), prefix + entry.name
+        fields |= flat(value, f"{name}.") if dataclasses.is_dataclass(value) else {name: value}
+    return fields
+
+
+def replaced(default: Given, given: Mapping[str, Any]) -> Given:
+    """A dataclass with the parameters that are given.
 
     Args:
-        declare: how a parameter is declared.
         default: the values where nothing is given.
-        prefix: of the names.
+        given: values by the names that ``flat`` has.
+
+    Raises:
+        ValueError: for a name there is not, a value of another type, or one the dataclass refuses.
     """
+    known = flat(default)
+    for name, value in given.items():
+        if name not in known:
+            raise ValueError(f"parameter {name!r} is not allowed: there are {', '.join(known)}")
+        kinds = (int, float) if isinstance(known[name], float) else (type(known[name]),)
+        if type(value) not in kinds:
+            allowed = type(known[name]).__name__
+            raise ValueError(f"{name}={value!r} is not allowed: it must be of type {allowed}")
+    return _replaced(default, given, "")
+
+
+def _replaced(default: Any, given: Mapping[str, Any], prefix: str) -> Any:
     values = {}
-    for entry in dataclasses.fields(default):  # type: ignore[arg-type]
-        value = getattr(default, entry.name)
-        name = prefix + entry.name
+    for entry in dataclasses.fields(default):
+        value, name = getattr(default, entry.name), prefix + entry.name
         if dataclasses.is_dataclass(value):
-            values[entry.name] = declared(declare, value, f"{name}.")
+            values[entry.name] = _replaced(value, given, f"{name}.")
         else:
-            values[entry.name] = declare(name, value)
-    return dataclasses.replace(default, **values)  # type: ignore[type-var]
+            values[entry.name] = given.get(name, value)
+    return dataclasses.replace(default, **values)
 
 
 def four_robots() -> list[str]:

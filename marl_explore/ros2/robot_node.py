@@ -12,7 +12,6 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import LaserScan
@@ -21,11 +20,11 @@ from std_msgs.msg import UInt8MultiArray
 from marl_explore.robot import Envelope, Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LATEST, LETTERS, declare, run, time_of
-from marl_explore.ros2.parameters import RobotParameters, declared
+from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run, time_of
+from marl_explore.ros2.parameters import RobotParameters
 
 
-class RobotNode(Node):
+class RobotNode(ParameterNode[RobotParameters]):
     """Carries scans, poses and letters to ``RobotCore``, and velocities, letters and maps from it.
 
     Args:
@@ -33,8 +32,7 @@ class RobotNode(Node):
     """
 
     def __init__(self, dry_run: bool = False) -> None:
-        super().__init__("robot_node")
-        self.given = declared(declare(self), RobotParameters())
+        super().__init__("robot_node", RobotParameters())
         self.core = self.given.make_core()
         self._known = 0
         team, own = self.given.team, self.given.team[self.given.robot]

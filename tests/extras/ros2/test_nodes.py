@@ -105,6 +105,7 @@ def test_a_dry_run_sends_no_velocity_and_broken_letters_are_dropped(workspace, t
     [
         ("robot_node", ["--dryrun"], "unrecognized arguments: --dryrun"),
         ("robot_node", [], "error: policy='' is not allowed"),
+        ("robot_node", ["--ros-args", "-p", "rat:=5.0"], "error: parameter 'rat' is not allowed"),
         ("lab_sim", ["--ros-args", "-p", "speed:=0.0"], "error: speed=0.0 is not allowed"),
         ("lab_sim", ["--ros-args", "-p", "arena.num_agents:=2"], "the arena has 2 robots"),
     ],
