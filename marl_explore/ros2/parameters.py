@@ -1,4 +1,4 @@
-"""Parameters of the nodes: dataclasses that are declared field by field, and what they make."""
+"""Parameters of the nodes: dataclasses whose fields can be given by name, and what they make."""
 
 from __future__ import annotations
 

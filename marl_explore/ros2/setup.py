@@ -30,7 +30,7 @@ if __name__ == "__main__":
         extras_require={"test": ["pytest"]},
         zip_safe=False,
         maintainer="The marl_explore authors",
-        maintainer_email="marl-explore@users.noreply.github.com",
+        maintainer_email="marl-explore@example.org",
         description="Teams of robots that explore, and their lab in simulation.",
         license="MIT",
         entry_points={
