@@ -11,8 +11,10 @@ export OMP_NUM_THREADS ?= 1
 
 # BenchMARL needs an environment of its own: it asks for other versions than it runs on
 BENCHMARL := .venv-benchmarl
+# and so does ROS: its wheels start Python anew to find their libraries
+ROS := .venv-ros
 
-.PHONY: demo programs test test-all test-benchmarl lint speed leaderboard clean
+.PHONY: demo programs test test-all test-benchmarl test-ros lint speed leaderboard clean
 # one after the other: they share an environment, and the programs come before what is built by them
 .NOTPARALLEL:
 
@@ -22,11 +24,14 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n 2 tests --ignore=tests/extras
 
-test-all: programs test test-benchmarl $(VENV)/installed-extras
-	$(BIN)/python -m pytest -n 2 tests/extras --ignore=tests/extras/benchmarl
+test-all: programs test test-benchmarl test-ros $(VENV)/installed-extras
+	$(BIN)/python -m pytest -n 2 tests/extras --ignore=tests/extras/benchmarl --ignore=tests/extras/ros2
 
 test-benchmarl: $(BENCHMARL)/installed
 	$(BENCHMARL)/bin/python -m pytest tests/extras/benchmarl
+
+test-ros: $(ROS)/installed
+	$(ROS)/bin/python -m pytest tests/extras/ros2
 
 programs:
 	tests/extras/install.sh
@@ -61,7 +66,7 @@ $(VENV)/installed-dev: $(VENV)/installed
 	touch $@
 
 $(VENV)/installed-extras: $(VENV)/installed-dev
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser,export,lab,mpe,pursuit,ray,sb3,tensorboard,wandb,mlflow]"
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,browser,export,lab,mpe,pursuit,ray,ros,sb3,tensorboard,wandb,mlflow]"
 	touch $@
 
 $(BENCHMARL)/installed: pyproject.toml constraints.txt
@@ -72,5 +77,13 @@ $(BENCHMARL)/installed: pyproject.toml constraints.txt
 	$(BENCHMARL)/bin/python -m pip install -q "hydra-core==1.3.8"
 	touch $@
 
+$(ROS)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(ROS)
+	$(ROS)/bin/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
+	$(ROS)/bin/python -m pip install -q -c constraints.txt -e ".[lab]" pytest hypothesis \
+	  colcon-common-extensions "ros-jazzy-rclpy[fastrtps]" ros-jazzy-rosgraph-msgs ros-jazzy-std-msgs \
+	  ros-jazzy-geometry-msgs ros-jazzy-nav-msgs ros-jazzy-sensor-msgs
+	touch $@
+
 clean:
-	rm -rf $(VENV) $(BENCHMARL) demo leaderboard build dist *.egg-info
+	rm -rf $(VENV) $(BENCHMARL) $(ROS) demo leaderboard build dist *.egg-info

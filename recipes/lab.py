@@ -43,6 +43,8 @@ class Arguments:
     seed: int = 0
     """Seed of arenas, noise and sampled actions."""
     noise: Measured = field(default_factory=Measured)
+    picture: bool = False
+    """Whether to write arena.png too, the first arena at the end, which takes OpenGL (EGL)."""
     out: Path = Path("lab")
     """New folder for lab.png and lab.json."""
 
@@ -60,6 +62,8 @@ def parse() -> Arguments:
 
 def run(arguments: Arguments) -> None:
     """Explore, print what was measured, and write it with the figure."""
+    from matplotlib import image
+
     from marl_explore import ExplorationEnv, load_policy, runs
     from marl_explore.evaluation import TEST_STREAM
     from marl_explore.lab import LabRunner, Noise
@@ -74,8 +78,11 @@ def run(arguments: Arguments) -> None:
     start = env.reset()
     arenas = start["obstacles"], start["agents", "position"]
     noise = Noise(**asdict(arguments.noise))
-    explored = LabRunner(policy, arenas, noise, seed=arguments.seed).run(arguments.steps)
+    lab = LabRunner(policy, arenas, noise, seed=arguments.seed)
+    explored = lab.run(arguments.steps)
     folder = runs.new_folder(arguments.out)
+    if arguments.picture:
+        image.imsave(folder / "arena.png", lab.world.render())
     lab_figure(explored.coverage(), folder / "lab.png")
     summary = explored.summary()
     coverage = {name: curve.mean(0).tolist() for name, curve in explored.coverage().items()}

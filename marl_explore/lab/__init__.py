@@ -6,6 +6,7 @@ Physics and lidar are VMAS's, which is licensed under the GPLv3 and imported whe
 from __future__ import annotations
 
 from marl_explore.lab.measures import LabRecord
-from marl_explore.lab.runner import LabRunner, Noise, exported_policies
+from marl_explore.lab.runner import LabRunner, exported_policies
+from marl_explore.lab.world import LabWorld, Noise
 
-__all__ = ["LabRecord", "LabRunner", "Noise", "exported_policies"]
+__all__ = ["LabRecord", "LabRunner", "LabWorld", "Noise", "exported_policies"]

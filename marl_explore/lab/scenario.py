@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -14,12 +15,16 @@ from vmas.simulator.utils import Color
 
 from marl_explore.config import ArenaConfig
 
+if TYPE_CHECKING:
+    from vmas.simulator.rendering import Geom
+
 ROBOT_RADIUS = 0.105
 """Of a TurtleBot3 Burger (metres)."""
 RAYS = 360
 MAX_RANGE = 3.5
 """Of its lidar (metres)."""
 STEP_SECONDS = 0.1
+_PIXELS = 600  # longer side of a picture
 _AWAY = 100.0  # where boxes are that a layout has fewer of (metres)
 
 
@@ -50,7 +55,18 @@ class LabScenario(BaseScenario):
             world.add_landmark(box)
         for number in range(self.config.num_agents):
             world.add_agent(self._robot(world, number))
+        self._show_whole_arena()
         return world
+
+    def _show_whole_arena(self) -> None:
+        """Let pictures show the arena from rim to rim."""
+        height, width = self.config.height, self.config.width
+        self.viewer_size = (
+            _PIXELS * width // max(height, width),
+            _PIXELS * height // max(height, width),
+        )
+        # VMAS shows the square of this, in metres, to each side of the middle
+        self.viewer_zoom = math.sqrt(min(height, width) * self.config.cell_size / 2)
 
     @staticmethod
     def _robot(world: World, number: int) -> Agent:
@@ -75,6 +91,20 @@ class LabScenario(BaseScenario):
             for number, robot in enumerate(self.world.agents):
                 robot.set_pos(starts[number], batch_index=row)
                 robot.set_rot(self.headings[row, number].reshape(1), batch_index=row)
+
+    def extra_render(self, env_index: int = 0) -> list[Geom]:
+        """A line from the middle of each robot to where it heads, drawn before the robots."""
+        from vmas.simulator.rendering import Line  # it opens a display's library
+
+        lines = []
+        for robot in self.world.agents:
+            x, y = robot.state.pos[env_index].tolist()
+            yaw = float(robot.state.rot[env_index])
+            ahead = x + 2 * ROBOT_RADIUS * math.cos(yaw), y + 2 * ROBOT_RADIUS * math.sin(yaw)
+            line = Line((x, y), ahead, width=2)
+            line.set_color(*Color.RED.value)
+            lines.append(line)
+        return lines
 
     def observation(self, agent: Agent) -> Tensor:
         """Where an agent is: x, y (metres) and yaw (radians), [B, 3]."""

@@ -125,7 +125,13 @@ class RobotCore:
         return self.observation is not None and complete(self.observation)
 
     def receive(self, event: Scan | Pose | Envelope, now: float) -> None:
-        """Take what a sensor measured or another robot sent, in any order, late ones too."""
+        """Take what a sensor measured or another robot sent, in any order, late ones too.
+
+        Raises:
+            ValueError: for a message that cannot come from this team; it is dropped.
+        """
+        if isinstance(event, Envelope):
+            event.check(self.config.num_agents, (self.config.height, self.config.width))
         if isinstance(event, Scan):
             self.sensors.add_scan(event)
         elif isinstance(event, Pose):

@@ -28,6 +28,8 @@ class BeamModel:
     """Returns this near to a known robot are its body (metres)."""
     votes: int = 3
     """Fewest votes that decide a cell."""
+    lidar_ahead: float = 0.0
+    """Where the lidar is, ahead of the middle of the robot (metres)."""
 
 
 def sight(
@@ -58,11 +60,12 @@ def sight(
     model = model or BeamModel()
     others = list(others)
     cells = square(frame.cell(pose.x, pose.y), radius)
-    centres = np.array([frame.centre(cell) for cell in cells]) - (pose.x, pose.y)
-    distance, returned, heading = _beams(scan, pose)
+    eye = pose.ahead(model.lidar_ahead)
+    centres = np.array([frame.centre(cell) for cell in cells]) - (eye.x, eye.y)
+    distance, returned, heading = _beams(scan, eye)
     side = 2 * radius + 1
     votes_for, votes_against = _votes(centres, heading, distance, frame.cell_size, model)
-    votes_for &= returned & ~_on_robots(distance, heading, pose, others, model.robot_radius)
+    votes_for &= returned & ~_on_robots(distance, heading, eye, others, model.robot_radius)
     hits, misses = votes_for.sum(-1), votes_against.sum(-1)
     seen = np.full(len(cells), UNKNOWN, np.int8)
     seen[(misses >= model.votes) & (misses >= hits)] = FREE

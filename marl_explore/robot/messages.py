@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,11 @@ class Pose:
     """North (metres)."""
     yaw: float
     """Heading, 0 east and counter-clockwise (radians)."""
+
+    def ahead(self, distance: float) -> Pose:
+        """The pose so far ahead (metres)."""
+        x, y = self.x + distance * math.cos(self.yaw), self.y + distance * math.sin(self.yaw)
+        return replace(self, x=x, y=y)
 
 
 @dataclass(frozen=True)
@@ -148,3 +154,21 @@ class Envelope:
     to: tuple[int, ...]
     """Who is to get it."""
     message: Message
+
+    def check(self, robots: int, shape: tuple[int, int]) -> None:
+        """Refuse what cannot come from a team.
+
+        Args:
+            robots: its size, N.
+            shape: of its maps, [H, W].
+
+        Raises:
+            ValueError: naming what does not fit.
+        """
+        for number in (self.sender, self.message.robot):
+            if number >= robots:
+                raise ValueError(f"a message of robot {number} is not allowed: 0 to {robots - 1}")
+        if isinstance(self.message, Share) and self.message.map.shape != shape:
+            raise ValueError(
+                f"a map of shape {self.message.map.shape} is not allowed: the arena's is {shape}"
+            )

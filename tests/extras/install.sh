@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs the programs that the tests drive, where they are missing, from the system's packages
 # (apt): a C compiler for the native kernel, Chromium and its driver for tests/extras/browser,
-# ffmpeg for tests/extras/video.
+# ffmpeg for tests/extras/video, OpenGL without a display for tests/extras/lab.
 set -euo pipefail
 
 packages=()
@@ -9,6 +9,10 @@ command -v cc >/dev/null || packages+=(gcc libc6-dev)
 command -v chromium >/dev/null || packages+=(chromium)
 command -v chromedriver >/dev/null || packages+=(chromium-driver)
 command -v ffmpeg >/dev/null || packages+=(ffmpeg)
+libraries=$(PATH="$PATH:/sbin:/usr/sbin" ldconfig -p)
+[[ $libraries == *libEGL.so.1* ]] || packages+=(libegl1 libegl-mesa0 libgl1-mesa-dri)
+[[ $libraries == *libGL.so.1* ]] || packages+=(libgl1)
+[[ $libraries == *libGLU.so.1* ]] || packages+=(libglu1-mesa)
 if [ ${#packages[@]} -eq 0 ]; then
   exit 0
 fi

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from marl_explore import ArenaConfig
-from marl_explore.robot import BarrierClock, PeriodClock, Pose, RobotCore, Settings
+from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotCore, Settings
 from marl_explore.robot.driving import ZERO
 from marl_explore.robot.messages import Done, Intent, Share
 from tests.boards import ACTIONS, arena
@@ -281,6 +281,26 @@ def test_a_move_that_is_not_allowed_is_not_made():
 def test_settings_that_cannot_work_are_refused(config, robot, message):
     with pytest.raises(ValueError, match=message):
         RobotCore(robot, config, scripted([]), BarrierClock(range(4)))
+
+
+@pytest.mark.parametrize(
+    ("letter", "message"),
+    [
+        (Envelope(2, (0,), Done(1, 5)), "of robot 2 is not allowed: 0 to 1"),
+        (Envelope(1, (0,), Done(7, 5)), "of robot 7 is not allowed: 0 to 1"),
+        (
+            Envelope(1, (0,), Share(1, 0, np.zeros((2, 3), np.int8))),
+            r"\(2, 3\) is not allowed: .*\(4, 6\)",
+        ),
+    ],
+)
+def test_messages_of_another_team_are_refused_and_change_nothing(letter, message):
+    world = world_of(OPEN, ["talk S", "talk S"])
+    world.step()
+    with pytest.raises(ValueError, match=message):
+        world.cores[0].receive(letter, world.now)
+    world.run(2)
+    assert cells(world) == [(2, 1), (2, 4)]
 
 
 @pytest.mark.parametrize("name", ["max_pose_age", "max_scan_age", "lock_expiry"])

@@ -9,7 +9,7 @@ import pytest
 
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.geometry import Frame
-from marl_explore.robot.mapper import sight
+from marl_explore.robot.mapper import BeamModel, sight
 from tests.boards import arena
 from tests.robot.world import scan_of
 
@@ -41,6 +41,24 @@ def seen(board, robot=0, yaw=0.3, known=True, change=lambda ranges: ranges, offs
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.03, -0.03), (-0.03, 0.02)])
 def test_obstacles_and_free_cells_whatever_the_heading(yaw, offset):
     assert seen(BOARD, yaw=yaw, offset=offset) == [".#.", "...", "#.."]
+
+
+@pytest.mark.parametrize("behind", [0.032, 0.064])
+def test_a_lidar_behind_the_middle_sees_the_same(behind):
+    """Of a TurtleBot3 Burger and a Waffle, in every heading."""
+    obstacles, positions = arena(BOARD)
+    frame = Frame(*obstacles.shape, 0.5)
+    places = [frame.centre(tuple(cell)) for cell in positions.tolist()]
+    for yaw in np.linspace(-math.pi, math.pi, 25):
+        pose, other = (Pose(0.0, robot, *place, yaw) for robot, place in enumerate(places))
+        scan = scan_of(obstacles.numpy(), frame, pose.ahead(-behind), [other])
+        codes = sight(scan, pose, [other], frame, 1, BeamModel(lidar_ahead=-behind))
+        assert codes.tolist() == [[0, 1, 0], [0, 0, 0], [1, 0, 0]]
+
+
+def test_ahead_is_where_a_robot_heads():
+    pose = Pose(1.0, 2, 0.5, -0.5, math.pi / 2).ahead(0.25)
+    assert (pose.x, pose.y) == (pytest.approx(0.5), -0.25)
 
 
 def test_a_known_robot_is_no_obstacle_and_an_unknown_one_is_not_free_space():

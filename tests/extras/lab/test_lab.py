@@ -65,7 +65,7 @@ def test_the_lidar_measures_what_beams_through_the_grid_do():
     layout = {"obstacles": obstacles.unsqueeze(0), "positions": cells.unsqueeze(0)}
     env = Environment(LabScenario(), 1, "cpu", seed=0, config=config, headings=headings, **layout)
     lab = lab_of("..#...\n.0..1.\n...#..\n#.....", ["stay", "stay"])
-    lab._lab = env
+    lab.world._vmas = env
     lab._tell_poses()
     for robot, core in enumerate(lab.teams[0]):
         others = core.sensors.others()
@@ -97,7 +97,7 @@ def test_noise_is_measured_and_survived():
     assert summary["robot contacts"] == summary["obstacle contacts"] == 0
     assert summary["wrong cells"] <= 0.01 * summary["known cells"]
     pose = lab.teams[0][0].sensors.pose
-    assert not np.allclose((pose.x, pose.y), lab._poses()[0, 0, :2], atol=1e-5)
+    assert not np.allclose((pose.x, pose.y), lab.world.poses()[0, 0, :2], atol=1e-5)
 
 
 def test_layouts_may_have_different_numbers_of_obstacles():
@@ -113,10 +113,42 @@ def test_layouts_may_have_different_numbers_of_obstacles():
 
 def test_a_robot_that_drives_into_another_is_counted():
     lab = lab_of("0.1", ["stay", "stay"])
-    lab._lab.agents[0].set_pos(torch.tensor([0.4, 0.0]), batch_index=0)
-    lab._count_contacts()
-    lab._count_contacts()  # still the same contact
-    assert lab._contacts == {"robots": 1, "obstacles": 0}
+    lab.world._vmas.agents[0].set_pos(torch.tensor([0.4, 0.0]), batch_index=0)
+    lab.world.count_contacts()
+    lab.world.count_contacts()  # still the same contact
+    assert lab.world.contacts == {"robots": 1, "obstacles": 0}
+
+
+def colour_of(picture, config, x, y):
+    """Of the point (x, y) in metres."""
+    pixels_per_metre = picture.shape[0] / (config.height * config.cell_size)
+    row = picture.shape[0] / 2 - y * pixels_per_metre
+    return picture[int(row), int(picture.shape[1] / 2 + x * pixels_per_metre)].tolist()
+
+
+def test_a_picture_shows_boxes_and_robots_without_a_display(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    world = lab_of("#...\n.0..\n...1", ["stay", "stay"]).world
+    picture = world.render()
+    assert picture.shape == (450, 600, 3)
+    colours = {
+        name: colour_of(picture, world.config, x, y)
+        for name, (x, y) in {
+            "box": (-0.75, 0.5),
+            "robot 0": (-0.25, 0.0),
+            "robot 1": (0.75, -0.5),
+            "floor": (0.25, 0.0),
+            "rim": (0.97, 0.72),
+        }.items()
+    }
+    assert colours["floor"] == colours["rim"] == [255, 255, 255]
+    assert max(colours["box"]) - min(colours["box"]) <= 2
+    assert colours["box"][0] < 128
+    for robot in ("robot 0", "robot 1"):
+        red, green, blue = colours[robot]
+        assert blue > max(red, green)
+    world.drive(torch.tensor([[[0.2, 0.0], [0.0, 0.0]]]))
+    assert (world.render() != picture).any()
 
 
 def test_layouts_of_another_size_are_refused():
@@ -127,11 +159,13 @@ def test_layouts_of_another_size_are_refused():
 def test_the_recipe_draws_the_papers_figure(tmp_path):
     path = save_policy(a_policy(), tmp_path / "team.safetensors")
     command = [sys.executable, ROOT / "recipes" / "lab.py", path, "--layouts", "2", "--steps", "3"]
+    command += ["--picture", "True"]
     done = subprocess.run(
         [*command, "--out", tmp_path / "lab"], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "lab" / "lab.png").is_file()
+    assert (tmp_path / "lab" / "arena.png").is_file()
     content = json.loads((tmp_path / "lab" / "lab.json").read_text())
     assert content["summary"]["wrong cells"] == 0
     assert len(content["mean coverage"]["merged"]) == 4

@@ -18,7 +18,7 @@ from marl_explore.versions import versions
 
 ROOT = Path(__file__).parents[3]
 CONSTRAINTS = ROOT / "constraints.txt"
-EXTRAS = ("dev", "export", "lab", "mpe", "pursuit", "ray", "sb3")
+EXTRAS = ("dev", "export", "lab", "mpe", "pursuit", "ray", "ros", "sb3")
 ONE_STEP = """
 import marl_explore
 from marl_explore import make_env

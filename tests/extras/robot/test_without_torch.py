@@ -17,6 +17,7 @@ for name in ("torch", "tensordict", "torchrl", "scipy"):
     assert importlib.util.find_spec(name) is None, name
 import numpy as np
 from marl_explore import ArenaConfig
+import marl_explore.ros2.convert, marl_explore.ros2.parameters
 from marl_explore.robot import BarrierClock, ExportedPolicy, Pose, RobotCore, Scan
 policy = ExportedPolicy(sys.argv[1], robot=0)
 core = RobotCore(0, ArenaConfig(num_agents=2), policy, BarrierClock([0]), fpr=policy.fpr)

@@ -1,0 +1,171 @@
+"""ROS's standard messages and what robots know: pure functions on the messages' fields.
+
+``*_fields`` give a message's fields as nested dictionaries, ``fill`` puts them into a message, and
+``to_*`` read any object with those fields: of rclpy as well as of a recording.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.codes import FREE, OCCUPIED, UNKNOWN
+from marl_explore.robot import Envelope, Pose, Scan, decode
+from marl_explore.robot.driving import Velocity
+from marl_explore.robot.geometry import Frame
+
+Fields = dict[str, Any]
+PERCENT_OCCUPIED = 100
+"""An obstacle in an OccupancyGrid, which holds probabilities in percent; unknown is -1."""
+
+
+def fill(message: Any, fields: Mapping[str, Any]) -> Any:
+    """The message with its fields set; arrays as rclpy wants them."""
+    for name, value in fields.items():
+        if isinstance(value, Mapping):
+            fill(getattr(message, name), value)
+        elif isinstance(value, np.ndarray):
+            setattr(message, name, array.array(value.dtype.char, value.tobytes()))
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def time_fields(seconds: float) -> Fields:
+    """builtin_interfaces/Time."""
+    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
+    return {"sec": whole, "nanosec": rest}
+
+
+def to_seconds(stamp: Any) -> float:
+    """Seconds of a builtin_interfaces/Time."""
+    return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+def header_fields(seconds: float, frame_id: str) -> Fields:
+    """std_msgs/Header."""
+    return {"stamp": time_fields(seconds), "frame_id": frame_id}
+
+
+def scan_fields(scan: Scan, frame_id: str) -> Fields:
+    """sensor_msgs/LaserScan; ``frame_id`` names the lidar's frame."""
+    ranges = np.asarray(scan.ranges, np.float32)
+    return {
+        "header": header_fields(scan.stamp, frame_id),
+        "angle_min": float(scan.angle_min),
+        "angle_max": float(scan.angle_min + scan.angle_increment * (len(ranges) - 1)),
+        "angle_increment": float(scan.angle_increment),
+        "range_min": float(scan.range_min),
+        "range_max": float(scan.range_max),
+        "ranges": ranges,
+    }
+
+
+def to_scan(message: Any) -> Scan:
+    """The scan of a sensor_msgs/LaserScan."""
+    return Scan(
+        stamp=to_seconds(message.header.stamp),
+        ranges=np.array(message.ranges, np.float64),
+        angle_min=float(message.angle_min),
+        angle_increment=float(message.angle_increment),
+        range_min=float(message.range_min),
+        range_max=float(message.range_max),
+    )
+
+
+def pose_fields(pose: Pose, frame_id: str) -> Fields:
+    """geometry_msgs/PoseStamped; ``frame_id`` names the arena's frame."""
+    turned = {"x": 0.0, "y": 0.0, "z": math.sin(pose.yaw / 2), "w": math.cos(pose.yaw / 2)}
+    return {
+        "header": header_fields(pose.stamp, frame_id),
+        "pose": {
+            "position": {"x": float(pose.x), "y": float(pose.y), "z": 0.0},
+            "orientation": turned,
+        },
+    }
+
+
+def to_pose(message: Any, robot: int) -> Pose:
+    """The pose of a geometry_msgs/PoseStamped: its yaw, whatever its roll and pitch."""
+    place, turned = message.pose.position, message.pose.orientation
+    yaw = math.atan2(
+        2 * (turned.w * turned.z + turned.x * turned.y), 1 - 2 * (turned.y**2 + turned.z**2)
+    )
+    return Pose(to_seconds(message.header.stamp), robot, float(place.x), float(place.y), yaw)
+
+
+def grid_fields(grid: NDArray[np.int8], frame: Frame, stamp: float, frame_id: str) -> Fields:
+    """nav_msgs/OccupancyGrid: row 0 is the south, and its corner lies south-west of the origin.
+
+    Args:
+        grid: a map, int8 [H, W], row 0 north.
+        frame: the arena's grid.
+        stamp: when the map was so (seconds).
+        frame_id: name of the arena's frame.
+    """
+    percent = np.where(grid == OCCUPIED, np.int8(PERCENT_OCCUPIED), grid)
+    corner = {
+        "x": -frame.width * frame.cell_size / 2,
+        "y": -frame.height * frame.cell_size / 2,
+        "z": 0.0,
+    }
+    return {
+        "header": header_fields(stamp, frame_id),
+        "info": {
+            "map_load_time": time_fields(stamp),
+            "resolution": float(frame.cell_size),
+            "width": frame.width,
+            "height": frame.height,
+            "origin": {"position": corner, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}},
+        },
+        "data": np.ascontiguousarray(percent[::-1]).ravel(),
+    }
+
+
+def to_grid(message: Any) -> NDArray[np.int8]:
+    """The map of a nav_msgs/OccupancyGrid, int8 [H, W], row 0 north; 50 % is occupied."""
+    percent = np.array(message.data, np.int8).reshape(message.info.height, message.info.width)
+    codes = np.where(percent >= PERCENT_OCCUPIED // 2, np.int8(OCCUPIED), np.int8(FREE))
+    return np.where(percent < 0, np.int8(UNKNOWN), codes)[::-1]
+
+
+def letter_fields(envelope: Envelope) -> Fields:
+    """std_msgs/UInt8MultiArray: a byte for the sender, then the message's bytes."""
+    data = bytes([envelope.sender]) + envelope.message.encode()
+    return {"data": np.frombuffer(data, np.uint8)}
+
+
+def to_letter(message: Any, receiver: int) -> Envelope:
+    """The letter of a std_msgs/UInt8MultiArray.
+
+    Raises:
+        ValueError: when it is none.
+    """
+    data = bytes(message.data)
+    if not data:
+        raise ValueError("a letter of no bytes")
+    return Envelope(data[0], (receiver,), decode(data[1:]))
+
+
+def velocity_fields(velocity: Velocity) -> Fields:
+    """geometry_msgs/Twist."""
+    return {
+        "linear": {"x": float(velocity.forward), "y": 0.0, "z": 0.0},
+        "angular": {"x": 0.0, "y": 0.0, "z": float(velocity.turn)},
+    }
+
+
+def stamped_velocity_fields(velocity: Velocity, stamp: float, frame_id: str) -> Fields:
+    """geometry_msgs/TwistStamped; ``frame_id`` names the robot's frame."""
+    return {"header": header_fields(stamp, frame_id), "twist": velocity_fields(velocity)}
+
+
+def to_velocity(message: Any) -> Velocity:
+    """The velocity of a geometry_msgs/Twist or TwistStamped."""
+    twist = getattr(message, "twist", message)
+    return Velocity(float(twist.linear.x), float(twist.angular.z))

@@ -1,0 +1,93 @@
+"""What both nodes share: how messages are kept for those that come late, and how a node ends."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any, Generic
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from marl_explore.ros2.convert import to_seconds
+from marl_explore.ros2.parameters import Given, flat, replaced
+
+
+def _kept(depth: int) -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+LETTERS = _kept(16)
+"""The last letters of every sender also reach a robot that comes late: it learns the tick."""
+LATEST = _kept(1)
+"""Of maps, the last one."""
+
+
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+def time_of(node: Node) -> float:
+    """The node's time (seconds), simulated if ``use_sim_time``; 0 before it is known."""
+    return to_seconds(node.get_clock().now().to_msg())
+
+
+class ParameterNode(Node, Generic[Given]):
+    """A node whose parameters are the fields of a dataclass.
+
+    Args:
+        name: of the node.
+        default: the values where nothing is given.
+
+    Raises:
+        ValueError: for a parameter that there is not, or a value that is not allowed.
+    """
+
+    def __init__(self, name: str, default: Given) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        given = {
+            name: parameter.value
+            for name, parameter in self.get_parameters_by_prefix("").items()
+            if not name.startswith(_OF_ROS)
+        }
+        self.given = replaced(default, given)
+        for name, value in flat(default).items():
+            if name not in given:
+                self.declare_parameter(name, value)
+
+
+def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], None]) -> None:
+    """Spin a node until SIGINT or SIGTERM.
+
+    Args:
+        make: the node.
+        args: command line.
+        stop: called with the node when it has to end, while it can still publish.
+
+    Raises:
+        SystemExit: with what is wrong, when the node refuses its parameters.
+    """
+    told: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # an exception from here could be lost in a callback of the middleware
+        signal.signal(number, lambda number, frame: told.append(number))
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        try:
+            node = make()
+        except ValueError as error:
+            raise SystemExit(f"error: {error}") from None
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not told:
+            executor.spin_once(timeout_sec=0.1)
+        stop(node)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()

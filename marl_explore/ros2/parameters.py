@@ -1,0 +1,107 @@
+"""Parameters of the nodes: dataclasses whose fields can be given by name, and what they make."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from marl_explore.config import require_positive
+from marl_explore.robot import BarrierClock, ExportedPolicy, PeriodClock, RobotCore, Settings
+
+Given = TypeVar("Given")
+
+
+def flat(values: Any, prefix: str = "") -> dict[str, Any]:
+    """The fields of a dataclass by name, those of dataclasses in it as ``outer.inner``."""
+    fields: dict[str, Any] = {}
+    for entry in dataclasses.fields(values):
+        value, name = getattr(values, entry.name), prefix + entry.name
+        fields |= flat(value, f"{name}.") if dataclasses.is_dataclass(value) else {name: value}
+    return fields
+
+
+def replaced(default: Given, given: Mapping[str, Any]) -> Given:
+    """A dataclass with the parameters that are given.
+
+    Args:
+        default: the values where nothing is given.
+        given: values by the names that ``flat`` has.
+
+    Raises:
+        ValueError: for a name there is not, a value of another type, or one the dataclass refuses.
+    """
+    known = flat(default)
+    for name, value in given.items():
+        if name not in known:
+            raise ValueError(f"parameter {name!r} is not allowed: there are {', '.join(known)}")
+        kinds = (int, float) if isinstance(known[name], float) else (type(known[name]),)
+        if type(value) not in kinds:
+            allowed = type(known[name]).__name__
+            raise ValueError(f"{name}={value!r} is not allowed: it must be of type {allowed}")
+    return _replaced(default, given, "")
+
+
+def _replaced(default: Any, given: Mapping[str, Any], prefix: str) -> Any:
+    values = {}
+    for entry in dataclasses.fields(default):
+        value, name = getattr(default, entry.name), prefix + entry.name
+        if dataclasses.is_dataclass(value):
+            values[entry.name] = _replaced(value, given, f"{name}.")
+        else:
+            values[entry.name] = given.get(name, value)
+    return dataclasses.replace(default, **values)
+
+
+def four_robots() -> list[str]:
+    """Namespaces of the paper's team."""
+    return [f"robot_{number}" for number in range(4)]
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """Of ``robot_node``."""
+
+    robot: int = 0
+    """The robot's number in the team."""
+    policy: str = ""
+    """An exported policy, .npz; the arena is the one it was trained for."""
+    team: list[str] = field(default_factory=four_robots)
+    """Namespaces of all robots, in the order of their numbers."""
+    frame: str = "arena"
+    """Frame of poses and maps: its origin is the arena's middle."""
+    base_frame: str = "base_link"
+    """Frame of a stamped velocity."""
+    stamped: bool = False
+    """Whether velocities are TwistStamped instead of Twist."""
+    rate: float = 20.0
+    """How often velocities are sent (per second)."""
+    period: float = 0.0
+    """Length of a tick by the time of day (seconds); 0: a tick begins when all are through."""
+    patience: float = 60.0
+    """How long a robot is waited for with no ``period`` (seconds)."""
+    sample: bool = True
+    """Whether actions are drawn with the policy's probabilities."""
+    seed: int = 0
+    """Of the drawn actions."""
+    settings: Settings = field(default_factory=Settings)
+
+    def make_core(self) -> RobotCore:
+        """The robot.
+
+        Raises:
+            ValueError: for a policy that is none or of another team.
+        """
+        require_positive("rate", self.rate, "1/s")
+        if not Path(self.policy).is_file():
+            raise ValueError(f"policy={self.policy!r} is not allowed: it must be an exported .npz")
+        policy = ExportedPolicy(self.policy, self.robot, self.sample, self.seed)
+        robots = policy.arena.num_agents
+        if len(self.team) != robots:
+            raise ValueError(f"team={self.team!r} is not allowed: the policy is of {robots} robots")
+        clock = (
+            PeriodClock(self.period) if self.period else BarrierClock(range(robots), self.patience)
+        )
+        return RobotCore(self.robot, policy.arena, policy, clock, policy.fpr, self.settings)

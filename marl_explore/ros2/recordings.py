@@ -1,0 +1,153 @@
+"""Recordings of robots as rosbag2 in MCAP, by the package rosbags (extra "ros") and without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from marl_explore.robot import Envelope, Pose, RobotCore, Scan
+from marl_explore.robot.driving import Velocity
+from marl_explore.ros2 import convert
+
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+_KINDS = {
+    "scan": "sensor_msgs/msg/LaserScan",
+    "pose": "geometry_msgs/msg/PoseStamped",
+    "inbox": "std_msgs/msg/UInt8MultiArray",
+    "cmd_vel": "geometry_msgs/msg/TwistStamped",
+}
+
+
+class Recorder:
+    """Writes what robots are told and what they answer, under the names of ``robot_node``.
+
+    To be used in a ``with`` statement; what is recorded later comes later in the recording.
+
+    Args:
+        path: new folder of the recording.
+        team: namespaces of all robots, in the order of their numbers.
+        frame: frame of poses.
+    """
+
+    def __init__(self, path: str | Path, team: Sequence[str], frame: str = "arena") -> None:
+        self.team, self.frame = team, frame
+        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._connections: dict[str, Any] = {}
+        self._last = -1
+
+    def __enter__(self) -> Recorder:
+        self._writer.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._writer.close()
+
+    def receive(self, robot: int, event: Scan | Pose | Envelope, now: float) -> None:
+        """A robot receives something; of poses, its own are recorded.
+
+        Args:
+            robot: who receives it.
+            event: as for ``RobotCore.receive``.
+            now: when it comes (seconds).
+        """
+        if isinstance(event, Scan):
+            frame = f"{self.team[robot]}/base_scan"
+            self._write(robot, "scan", convert.scan_fields(event, frame), now)
+        elif isinstance(event, Envelope):
+            self._write(robot, "inbox", convert.letter_fields(event), now)
+        elif event.robot == robot:
+            self._write(robot, "pose", convert.pose_fields(event, self.frame), now)
+
+    def answer(self, robot: int, velocity: Velocity, now: float) -> None:
+        """A robot's velocity (metres and radians per second) at a time (seconds)."""
+        fields = convert.stamped_velocity_fields(velocity, now, "base_link")
+        self._write(robot, "cmd_vel", fields, now)
+
+    def _write(self, robot: int, topic: str, fields: Mapping[str, Any], now: float) -> None:
+        name, kind = f"/{self.team[robot]}/{topic}", _KINDS[topic]
+        if name not in self._connections:
+            self._connections[name] = self._writer.add_connection(name, kind, typestore=_TYPES)
+        # readers sort by time: things of one instant keep their order a nanosecond apart
+        self._last = max(self._last + 1, round(now * 1e9))
+        data = _TYPES.serialize_cdr(_message(kind, fields), kind)
+        self._writer.write(self._connections[name], self._last, data)
+
+
+def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
+    """Topic, time (seconds) and message of everything in a recording, in the order of time.
+
+    Raises:
+        ValueError: when it is no recording.
+    """
+    if not (Path(path) / "metadata.yaml").is_file():
+        raise ValueError(f"{path} is no recording: it has no metadata.yaml")
+    with AnyReader([Path(path)], default_typestore=_TYPES) as reader:
+        for connection, nanoseconds, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            yield connection.topic, nanoseconds * 1e-9, message
+
+
+def replay(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
+    """Let a robot live through a recording again.
+
+    It receives its scans and letters and all poses, and goes on whenever it sent a velocity.
+
+    Args:
+        path: folder of the recording.
+        core: a new robot, with the policy and seed of the recorded one.
+        team: namespaces of all robots, in the order of their numbers.
+
+    Returns:
+        How often it went on.
+
+    Raises:
+        ValueError: when that robot sent no velocity.
+    """
+    own, advanced = team[core.robot], 0
+    poses = {f"/{name}/pose": robot for robot, name in enumerate(team)}
+    for topic, time, message in messages(path):
+        if topic in poses:
+            core.receive(convert.to_pose(message, poses[topic]), time)
+        elif topic == f"/{own}/scan":
+            core.receive(convert.to_scan(message), time)
+        elif topic == f"/{own}/inbox":
+            core.receive(convert.to_letter(message, core.robot), time)
+        elif topic == f"/{own}/cmd_vel":
+            stamped = hasattr(message, "header")
+            core.advance(convert.to_seconds(message.header.stamp) if stamped else time)
+            advanced += 1
+    if not advanced:
+        raise ValueError(f"{path} has no /{own}/cmd_vel: it does not tell when the robot acted")
+    return advanced
+
+
+def _message(kind: str, fields: Mapping[str, Any]) -> Any:
+    """A message of rosbags, zero where no field is given."""
+    values = {}
+    detail: Any  # of a nested message its kind, of a sequence what is in it
+    for name, (node, detail) in _TYPES.fielddefs[kind][1]:
+        if node is Nodetype.NAME:
+            values[name] = _message(detail, fields.get(name, {}))
+        elif node is Nodetype.BASE:
+            values[name] = fields.get(name, "" if detail[0] == "string" else 0)
+        else:
+            values[name] = fields.get(name, _empty(*detail[0]))
+    return _TYPES.types[kind](**values)
+
+
+def _empty(node: Nodetype, detail: Any) -> Any:
+    """A sequence of nothing: an array of numbers, a list of messages."""
+    return np.array([], detail[0]) if node is Nodetype.BASE else []

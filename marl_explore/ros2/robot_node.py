@@ -1,0 +1,123 @@
+"""One robot of the team as a ROS 2 node: ``ros2 run marl_explore_ros2 robot_node``.
+
+With ``--dry-run`` it senses, decides and talks, and sends no velocity.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import UInt8MultiArray
+
+from marl_explore.robot import Envelope, Pose, Scan
+from marl_explore.robot.driving import ZERO, Velocity
+from marl_explore.ros2 import convert
+from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run, time_of
+from marl_explore.ros2.parameters import RobotParameters
+
+
+class RobotNode(ParameterNode[RobotParameters]):
+    """Carries scans, poses and letters to ``RobotCore``, and velocities, letters and maps from it.
+
+    Args:
+        dry_run: whether no velocity is sent.
+    """
+
+    def __init__(self, dry_run: bool = False) -> None:
+        super().__init__("robot_node", RobotParameters())
+        self.core = self.given.make_core()
+        self._known = 0
+        team, own = self.given.team, self.given.team[self.given.robot]
+        for robot, name in enumerate(team):
+            take = partial(self._take_pose, robot)
+            self.create_subscription(PoseStamped, f"/{name}/pose", take, qos_profile_sensor_data)
+        self.create_subscription(
+            LaserScan, f"/{own}/scan", self._take_scan, qos_profile_sensor_data
+        )
+        self.create_subscription(UInt8MultiArray, f"/{own}/inbox", self._take_letter, LETTERS)
+        self._inboxes = {
+            robot: self.create_publisher(UInt8MultiArray, f"/{name}/inbox", LETTERS)
+            for robot, name in enumerate(team)
+            if robot != self.given.robot
+        }
+        self._maps = self.create_publisher(OccupancyGrid, f"/{own}/map", LATEST)
+        kind = TwistStamped if self.given.stamped else Twist
+        self._velocities = None if dry_run else self.create_publisher(kind, f"/{own}/cmd_vel", 1)
+        self.create_timer(1 / self.given.rate, self._advance)
+
+    def stop(self) -> None:
+        """Let the robot stand still."""
+        self._send_velocity(ZERO, time_of(self))
+
+    def _take_scan(self, message: Any) -> None:
+        self._take(convert.to_scan(message))
+
+    def _take_pose(self, robot: int, message: Any) -> None:
+        if message.header.frame_id != self.given.frame:
+            self.get_logger().error(
+                f"dropped a pose of robot {robot} in frame {message.header.frame_id!r}: "
+                f"they must be in {self.given.frame!r}",
+                throttle_duration_sec=5.0,
+            )
+            return
+        self._take(convert.to_pose(message, robot))
+
+    def _take_letter(self, message: Any) -> None:
+        try:
+            self._take(convert.to_letter(message, self.given.robot))
+        except ValueError as error:
+            self.get_logger().error(f"dropped a letter: {error}")
+
+    def _take(self, event: Scan | Pose | Envelope) -> None:
+        self.core.receive(event, time_of(self))
+
+    def _advance(self) -> None:
+        now = time_of(self)
+        if not now:  # simulated time has not begun
+            return
+        output = self.core.advance(now)
+        for envelope in output.messages:
+            letter = convert.fill(UInt8MultiArray(), convert.letter_fields(envelope))
+            for receiver in envelope.to:
+                self._inboxes[receiver].publish(letter)
+        self._send_map(now)
+        self._send_velocity(output.velocity, now)
+
+    def _send_map(self, now: float) -> None:
+        if self.core.knowledge.known == self._known:
+            return
+        self._known = self.core.knowledge.known
+        fields = convert.grid_fields(
+            self.core.knowledge.map, self.core.frame, now, self.given.frame
+        )
+        self._maps.publish(convert.fill(OccupancyGrid(), fields))
+
+    def _send_velocity(self, velocity: Velocity, now: float) -> None:
+        if self._velocities is None:
+            return
+        if self.given.stamped:
+            fields = convert.stamped_velocity_fields(velocity, now, self.given.base_frame)
+            self._velocities.publish(convert.fill(TwistStamped(), fields))
+        else:
+            self._velocities.publish(convert.fill(Twist(), convert.velocity_fields(velocity)))
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node until it is told to end."""
+    words = sys.argv if args is None else args
+    parser = argparse.ArgumentParser(prog="robot_node", description="One robot of the team.")
+    parser.add_argument("--dry-run", action="store_true", help="send no velocity")
+    given = parser.parse_args(remove_ros_args(words)[1:])
+    run(lambda: RobotNode(given.dry_run), words, RobotNode.stop)
+
+
+if __name__ == "__main__":
+    main()

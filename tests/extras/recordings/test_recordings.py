@@ -1,0 +1,137 @@
+"""Recordings: what was written is read back, and a robot that lives through one knows the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+
+from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.codes import COMMUNICATE
+from marl_explore.robot import BarrierClock, Envelope, Pose, RobotCore, Scan
+from marl_explore.robot.driving import Velocity
+from marl_explore.robot.messages import Done
+from marl_explore.ros2 import convert
+from marl_explore.ros2.recordings import Recorder, messages, replay
+from tests.robot.world import PATIENT, World
+
+TEAM = [f"robot_{number}" for number in range(4)]
+TICKS = 15
+
+
+class Talker:
+    """Communicates every third time if it may, and else takes a random allowed action."""
+
+    def __init__(self, seed):
+        self.chance, self.asked = np.random.default_rng(seed), 0
+
+    def __call__(self, observation):
+        self.asked += 1
+        if self.asked % 3 == 0 and observation.action_mask[COMMUNICATE]:
+            return COMMUNICATE
+        return int(self.chance.choice(observation.action_mask.nonzero()[0]))
+
+
+class Recorded:
+    """A robot whose life is written down."""
+
+    def __init__(self, core, recorder):
+        self.core, self.recorder = core, recorder
+
+    def __getattr__(self, name):
+        return getattr(self.core, name)
+
+    def receive(self, event, now):
+        self.recorder.receive(self.core.robot, event, now)
+        self.core.receive(event, now)
+
+    def advance(self, now):
+        output = self.core.advance(now)
+        self.recorder.answer(self.core.robot, output.velocity, now)
+        return output
+
+
+@pytest.fixture(scope="module")
+def team(tmp_path_factory):
+    """A recording of a team, and its robots at the end."""
+    path, config = tmp_path_factory.mktemp("recorded") / "life", ArenaConfig()
+    start = ExplorationEnv(config, stream="test").reset()
+    obstacles, cells = start["obstacles"][0].numpy(), start["agents", "position"][0].tolist()
+    policies = [Talker(robot) for robot in range(4)]
+    world = World(config, obstacles, cells, policies, settings=PATIENT)
+    with Recorder(path, TEAM) as recorder:
+        world.cores = [Recorded(core, recorder) for core in world.cores]
+        world.run(TICKS)
+    return path, [core.core for core in world.cores]
+
+
+def reborn(robot, seed):
+    clock = BarrierClock(range(4))
+    return RobotCore(robot, ArenaConfig(), Talker(seed), clock, settings=PATIENT)
+
+
+@pytest.mark.parametrize("robot", range(4))
+def test_a_robot_that_lives_through_it_again_knows_the_same(team, robot):
+    recording, cores = team
+    again = reborn(robot, seed=robot)
+    assert replay(recording, again, TEAM) > 50 * TICKS
+    then = cores[robot]
+    assert np.array_equal(again.knowledge.map, then.knowledge.map)
+    assert (again.tick, again.action) == (then.tick, then.action)
+    assert np.array_equal(again.knowledge.unshared, then.knowledge.unshared)
+    assert again.mail.sent_bytes == then.mail.sent_bytes
+    assert then.knowledge.known > 30
+
+
+def test_the_team_exchanged_maps(team):
+    """Else the replays above would not show that letters are recorded."""
+    assert sum(core.mail.sent["share"] for core in team[1]) > 0
+
+
+def test_another_policy_acts_otherwise(team):
+    recording, cores = team
+    other = reborn(0, seed=99)
+    replay(recording, other, TEAM)
+    assert other.mail.sent_bytes != cores[0].mail.sent_bytes
+
+
+def test_what_was_written_is_read_back_in_its_order(tmp_path):
+    scan = Scan(1.25, np.array([0.5, np.inf, 0.0]), range_max=2.0)
+    with Recorder(tmp_path / "bag", ["a", "b"]) as recorder:
+        recorder.receive(1, scan, 1.5)
+        recorder.receive(1, Pose(1.5, 1, 0.25, -0.5, 1.0), 1.5)
+        recorder.receive(1, Pose(1.5, 0, 9.0, 9.0, 1.0), 1.5)  # robot 0's is recorded by itself
+        recorder.receive(0, Envelope(1, (0,), Done(1, 7)), 1.5)
+        recorder.answer(1, Velocity(0.125, -1.0), 1.5)
+    (t0, s0, first), (t1, _, second), (t2, _, third), (t3, s3, fourth) = messages(tmp_path / "bag")
+    assert [t0, t1, t2, t3] == ["/b/scan", "/b/pose", "/a/inbox", "/b/cmd_vel"]
+    assert s0 <= s3 == pytest.approx(1.5, abs=1e-8)
+    back = convert.to_scan(first)
+    assert np.array_equal(back.ranges, scan.ranges)
+    assert (back.stamp, back.range_max) == (1.25, 2.0)
+    pose = convert.to_pose(second, 1)
+    assert (pose.x, pose.y, pose.yaw) == (0.25, -0.5, pytest.approx(1.0))
+    assert convert.to_letter(third, 0) == Envelope(1, (0,), Done(1, 7))
+    assert convert.to_velocity(fourth) == (0.125, -1.0)
+    assert convert.to_seconds(fourth.header.stamp) == 1.5
+
+
+def test_it_is_an_mcap_file_of_standard_messages(team):
+    assert [file.suffix for file in team[0].iterdir() if file.name != "metadata.yaml"] == [".mcap"]
+    with Reader(team[0]) as reader:
+        kinds = {connection.msgtype for connection in reader.connections}
+    assert kinds == {
+        "sensor_msgs/msg/LaserScan",
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/TwistStamped",
+        "std_msgs/msg/UInt8MultiArray",
+    }
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="is no recording"):
+        list(messages(tmp_path))
+    with Recorder(tmp_path / "bag", TEAM) as recorder:
+        recorder.receive(0, Pose(0.0, 0, 0.0, 0.0, 0.0), 0.0)
+    with pytest.raises(ValueError, match="no /robot_0/cmd_vel"):
+        replay(tmp_path / "bag", reborn(0, seed=0), TEAM)

@@ -1,0 +1,165 @@
+"""Robots and the lab as processes that hear each other over DDS on loopback."""
+
+from __future__ import annotations
+
+import array
+import subprocess
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import UInt8MultiArray
+
+from marl_explore import list_policies
+from marl_explore.robot import Envelope, Pose, Scan
+from marl_explore.robot.driving import Velocity
+from marl_explore.robot.geometry import Frame
+from marl_explore.robot.messages import Done, Intent
+from marl_explore.ros2 import convert
+from marl_explore.ros2.node import LETTERS
+from tests.extras.ros2.team import Team, Watcher
+from tests.robot.policy_file import policy_file
+
+TICKS = 10
+BUNDLED = "paper-cnn-case2"
+FAST = {"speed": 20.0}
+"""As fast as the robots answer."""
+
+
+@pytest.fixture
+def policy(tmp_path):
+    """A policy whose robots communicate often, with drawn weights."""
+    return policy_file(tmp_path, talkative=1.5)
+
+
+def bundled(name, folder):
+    """A bundled policy, exported."""
+    from marl_explore import load_policy
+    from marl_explore.export import export_npz
+
+    return export_npz(load_policy(name), folder / "bundled.npz")
+
+
+@contextmanager
+def running(workspace, policy, folder, lab=None, robots=None, **options):
+    given = {"lab_sim": FAST | (lab or {}), "robot_node": robots or {}}
+    rclpy.init()
+    try:
+        with Team(workspace, {"policy": str(policy)}, given, folder, **options) as team:
+            yield team, Watcher(team)
+    finally:
+        rclpy.shutdown()
+
+
+@pytest.mark.parametrize("name", ["drawn", *({BUNDLED} & set(list_policies()))])
+def test_four_robots_explore_the_lab(workspace, policy, name, tmp_path):
+    """The bundled policy's robots may not come to communicate in so few ticks."""
+    if name == BUNDLED:
+        policy = bundled(name, tmp_path)
+    with running(workspace, policy, tmp_path) as (team, watcher):
+        watcher.until(
+            lambda: min(watcher.ticks.values()) >= TICKS and (watcher.shares or name == BUNDLED)
+        )
+        shared = list(watcher.shares)
+        watcher.until(lambda: all(watcher.merged(envelope) for envelope in shared))
+        watcher.until(lambda: watcher.truth is not None)
+        assert watcher.contacts == watcher.broken == watcher.wrong_cells() == 0
+        assert sum(int((grid >= 0).sum()) for grid in watcher.maps.values()) > 4 * 9
+    assert set(team.codes.values()) == {0}, team.said()
+
+
+def test_a_robot_that_dies_stops_nobody_and_a_late_one_joins(workspace, policy, tmp_path):
+    patient = {"patience": 20.0}
+    with running(workspace, policy, tmp_path, robots=patient) as (team, watcher):
+        watcher.until(lambda: min(watcher.ticks.values()) >= 2)
+        team.kill("robot_3")
+        died = watcher.ticks[3]
+        watcher.until(lambda: min(watcher.ticks[robot] for robot in range(3)) >= died + 4)
+        assert watcher.ticks[3] <= died + 1  # of what it had sent before
+        team.start("robot_3")
+        watcher.until(lambda: watcher.ticks[3] > died + 4)
+        joined = watcher.ticks[3]
+        watcher.until(lambda: min(watcher.ticks.values()) >= joined + 2)
+        assert watcher.contacts == 0
+        assert watcher.wrong_cells() == 0
+
+
+def test_a_dry_run_sends_no_velocity_and_broken_letters_are_dropped(workspace, tmp_path):
+    policy = policy_file(tmp_path)
+    stamped = {"stamped": "true"}
+    options = {"words": {"robot_0": ["--dry-run"]}, "names": ["lab", "robot_0", "robot_1"]}
+    robots = stamped | {"patience": 3.0, "settings.move_expiry": 5.0}
+    with running(workspace, policy, tmp_path, stamped, robots, **options) as (_, watcher):
+        letters = watcher.create_publisher(UInt8MultiArray, "/robot_1/inbox", LETTERS)
+        for data in (b"", b"\x01\x09", b"\x00" + Done(200, 9).encode()):
+            letters.publish(UInt8MultiArray(data=array.array("B", data)))
+        watcher.until(lambda: watcher.ticks[0] >= 1 and watcher.ticks[1] >= 3)
+        watcher.until(lambda: watcher.maps.keys() >= {0, 1})
+        assert watcher.count_publishers("/robot_0/cmd_vel") == 0
+        (info,) = watcher.get_publishers_info_by_topic("/robot_1/cmd_vel")
+        assert info.topic_type == "geometry_msgs/msg/TwistStamped"
+        watcher.until(lambda: travelled(watcher.poses[1]) > 0.3)
+        assert travelled(watcher.poses[0]) < 0.1  # noise alone
+    said = (tmp_path / "robot_1.log").read_text()
+    assert said.count("dropped a letter") == 3
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "said"),
+    [
+        ("robot_node", ["--dryrun"], "unrecognized arguments: --dryrun"),
+        ("robot_node", [], "error: policy='' is not allowed"),
+        ("robot_node", ["--ros-args", "-p", "rat:=5.0"], "error: parameter 'rat' is not allowed"),
+        ("lab_sim", ["--ros-args", "-p", "speed:=0.0"], "error: speed=0.0 is not allowed"),
+        ("lab_sim", ["--ros-args", "-p", "arena.num_agents:=2"], "the arena has 2 robots"),
+    ],
+)
+def test_what_cannot_work_is_refused_in_a_line(workspace, program, words, said):
+    done = subprocess.run(
+        [workspace.install / "lib" / "marl_explore_ros2" / program, *words],
+        env=workspace.environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode in (1, 2)
+    assert said in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def travelled(poses):
+    """Furthest from where it was first (metres)."""
+    places = np.array([(pose.x, pose.y) for pose in poses])
+    return np.hypot(*(places - places[0]).T).max()
+
+
+# ---------------------------------------------------------------- fields in rclpy's messages
+
+MAP = np.array([[1, 0, -1], [0, 0, 1]], np.int8)
+
+
+def test_rclpys_messages_take_all_fields():
+    scan = Scan(4.5, np.array([0.5, np.inf, 0.0]))
+    back = convert.to_scan(convert.fill(LaserScan(), convert.scan_fields(scan, "base_scan")))
+    assert np.array_equal(back.ranges, scan.ranges)
+    assert back.angle_increment == pytest.approx(scan.angle_increment)
+    pose = convert.fill(PoseStamped(), convert.pose_fields(Pose(4.5, 1, 1.0, 2.0, 0.5), "arena"))
+    assert convert.to_pose(pose, 1) == Pose(4.5, 1, 1.0, 2.0, pytest.approx(0.5))
+    fields = convert.grid_fields(MAP, Frame(2, 3, 0.5), 1.0, "arena")
+    grid = convert.fill(OccupancyGrid(), fields)
+    assert np.array_equal(convert.to_grid(grid), MAP)
+    assert grid.info.resolution == 0.5
+    letter = Envelope(2, (0,), Intent(2, 7, (3, 4), 5, True))
+    assert (
+        convert.to_letter(convert.fill(UInt8MultiArray(), convert.letter_fields(letter)), 0)
+        == letter
+    )
+    velocity = Velocity(0.125, -1.5)
+    twist = convert.fill(Twist(), convert.velocity_fields(velocity))
+    stamped = convert.fill(
+        TwistStamped(), convert.stamped_velocity_fields(velocity, 2.0, "base_link")
+    )
+    assert convert.to_velocity(twist) == convert.to_velocity(stamped) == velocity

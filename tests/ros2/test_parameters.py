@@ -1,0 +1,99 @@
+"""Parameters: every field of the dataclasses can be given, and the files name no others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from marl_explore.robot import BarrierClock, PeriodClock
+from marl_explore.ros2.parameters import RobotParameters, flat, replaced
+from tests.robot.policy_file import policy_file
+
+CONFIG = Path(__file__).parents[2] / "marl_explore" / "ros2" / "config"
+
+
+def names(parameters, prefix=""):
+    """Nested parameters by their full names."""
+    found = {}
+    for name, value in parameters.items():
+        if isinstance(value, dict):
+            found |= names(value, f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found
+
+
+def of_file(path):
+    return names(yaml.safe_load(path.read_text())["/**"]["ros__parameters"])
+
+
+def robot_of(given):
+    return replaced(RobotParameters(), given)
+
+
+def test_nested_fields_have_full_names():
+    fields = flat(RobotParameters())
+    assert fields["settings.beams.votes"] == 3
+    assert fields["rate"] == 20
+    assert "settings" not in fields
+    robot = robot_of({"settings.drive.max_turn": 1.5, "settings.max_pose_age": 0.25})
+    assert robot.settings.drive.max_turn == 1.5
+    assert robot.settings.max_pose_age == 0.25
+    assert robot.settings.lock_expiry == fields["settings.lock_expiry"] == 20
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"settings.drive.max_foward": 0.1},
+            "'settings.drive.max_foward' is not allowed: .*max_forward",
+        ),
+        ({"rate": "fast"}, "rate='fast' is not allowed: it must be of type float"),
+        ({"robot": 1.0}, "robot=1.0 is not allowed: it must be of type int"),
+        ({"robot": True}, "robot=True is not allowed: it must be of type int"),
+        ({"settings.lock_expiry": 0.0}, "lock_expiry=0.0 is not allowed"),
+    ],
+)
+def test_names_types_and_values_are_checked(given, message):
+    with pytest.raises(ValueError, match=message):
+        robot_of(given)
+
+
+def test_a_whole_number_will_do_for_a_float():
+    assert robot_of({"rate": 5}).rate == 5
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_every_robot_has_a_file_that_fits(number):
+    robot = robot_of(of_file(CONFIG / f"robot_{number}.yaml"))
+    assert robot.robot == number
+    assert robot.team == RobotParameters().team
+
+
+def test_a_robot_is_made_of_its_parameters(tmp_path):
+    path = policy_file(tmp_path, robots=2)
+    robot = robot_of({"policy": str(path), "team": ["a", "b"], "robot": 1, "patience": 9.0})
+    core = robot.make_core()
+    assert (core.robot, core.config.num_agents, core.fpr) == (1, 2, "proximity")
+    assert isinstance(core.clock, BarrierClock)
+    assert core.clock.patience == 9
+    timed = robot_of({"policy": str(path), "team": ["a", "b"], "period": 8.0})
+    assert isinstance(timed.make_core().clock, PeriodClock)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"policy": "none.npz"}, "policy='none.npz' is not allowed"),
+        ({"team": ["a"]}, r"team=\['a'\] is not allowed: the policy is of 2 robots"),
+        ({"team": ["a", "b"], "robot": 2}, "robot=2 is not allowed"),
+        ({"team": ["a", "b"], "rate": 0.0}, "rate=0.0 is not allowed"),
+    ],
+)
+def test_parameters_that_cannot_work_are_refused(tmp_path, given, message):
+    given = {"policy": str(policy_file(tmp_path, robots=2))} | given
+    with pytest.raises(ValueError, match=message):
+        robot_of(given).make_core()
