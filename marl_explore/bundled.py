@@ -75,7 +75,7 @@ def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     Args:
         run: folder of a finished run.
         name: what ``load_policy`` will know it by.
-        folder: where it is written.
+        folder: where it is written; made when it does not exist.
 
     Raises:
         ValueError: when the folder is no run, or the run is not finished.
@@ -84,6 +84,7 @@ def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     policy = load_policy(run)
     policy.half().float()  # what a reader of the file gets
     info |= {"score": score(policy), "replay": replay_score(policy)}
+    Path(folder).mkdir(parents=True, exist_ok=True)
     return save_policy(policy.half(), Path(folder) / f"{name}.safetensors", info)
 
 

@@ -4,7 +4,10 @@ python recipes/evaluate.py runs/my-run nearest-timer random
 
 python recipes/evaluate.py nearest-timer random --arenas rooms-32
 
-The arenas are those the first trained policy was trained for, changed by the flags.
+python recipes/evaluate.py paper-cnn-case2 paper-cnn-case2:argmax
+
+Policies draw their actions; with :argmax they take the likeliest, and a random allowed move after a
+refusal. The arenas are those the first trained policy was trained for, changed by the flags.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent
 RULES = ("config.py", "core", "env.py", "specs.py", "evaluation.py", "metrics.py")
 PLANNING = ("planners",)
-ACTING = ("transforms", "native", "models.py", "policies.py", "team.py")
+ACTING = ("transforms", "features.py", "native", "models", "policies.py", "likeliest.py", "team.py")
 """What planners, and what trained policies, have beside the rules and the measures."""
 
 
