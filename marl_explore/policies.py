@@ -74,7 +74,6 @@ class Policy(TensorDictModuleBase):
     """
 
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
-    sees = "own FOV, FPR, NET"
 
     def __init__(self, spec: PolicySpec, actors: Iterable[nn.Module]) -> None:
         super().__init__()
@@ -88,6 +87,13 @@ class Policy(TensorDictModuleBase):
     def actors(self) -> nn.ModuleList:
         """The networks, one per robot or one for all."""
         return self.team.stacked.actors
+
+    @property
+    def sees(self) -> str:
+        """What a robot decides by."""
+        if self.spec.architecture == "deepset":
+            return "own map, positions of robots in range, what was exchanged when, a clock"
+        return "own FOV, FPR, NET"
 
     @property
     def any_team(self) -> bool:

@@ -15,8 +15,8 @@ from marl_explore import cli
 from marl_explore.config import PRESETS, require_integer
 
 MARK = "demo.txt"
-COMPARED = ("random", "nearest", "nearest-timer", "utility-cost")
-"""Planners that the learned policy stands beside."""
+COMPARED = ("best", "random", "nearest", "nearest-timer", "utility-cost")
+"""What the freshly trained policy stands beside: the policy of the package, and planners."""
 FILES = ("table.txt", "results.csv", "coverage.png", "episode.gif", "replay.html")
 
 
@@ -84,7 +84,7 @@ def run(arguments: Arguments) -> None:
         folder / "coverage.png",
     )
 
-    watched = {n: watch(policies[n], config.arena, steps=100) for n in ("learned", "nearest-timer")}
+    watched = {n: watch(policies[n], config.arena, steps=100) for n in ("learned", "best")}
     plots.episode_animation(watched["learned"], folder / "episode.gif")
     write_replay(watched, folder / "replay.html", config=config.arena, about=record["command"])
 

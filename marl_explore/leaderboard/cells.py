@@ -17,7 +17,7 @@ from tqdm import tqdm
 from marl_explore import metrics, runs
 from marl_explore.arenas import Suite
 from marl_explore.env import ExplorationEnv
-from marl_explore.evaluation import TEST_STREAM, find_policy, record
+from marl_explore.evaluation import ARGMAX, TEST_STREAM, find_policy, record
 from marl_explore.files import whole_file
 from marl_explore.leaderboard.code import code_digest
 from marl_explore.metrics import Episodes
@@ -52,7 +52,7 @@ class Cell:
         return {
             "format": FORMAT,
             "policy": self.policy,
-            "weights": policy_digest(self.policy) if self.trained else None,
+            "weights": policy_digest(self.policy.removesuffix(ARGMAX)) if self.trained else None,
             "code": code_digest(planner=not self.trained),
             "suite": self.suite.id,
             "fingerprint": self.suite.digest,
