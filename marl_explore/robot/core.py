@@ -132,6 +132,7 @@ class RobotCore:
         """
         if isinstance(event, Envelope):
             event.check(self.config.num_agents, (self.config.height, self.config.width))
+            self._silent.discard(event.sender)
         if isinstance(event, Scan):
             self.sensors.add_scan(event)
         elif isinstance(event, Pose):

@@ -166,6 +166,32 @@ def test_lost_maps_cost_time_and_nothing_else():
     assert [core.knowledge.known for core in world.cores] == [12, 12]
 
 
+def both_know_all(world):
+    return [core.knowledge.known for core in world.cores] == [18, 18]
+
+
+def test_after_one_lost_intent_the_next_communication_merges():
+    """Robot 0 decides before robot 1 in every tick, so that an intent is always awaited."""
+    world = world_of(OPEN, ["talk " * 4] * 2)
+    world.lost = lambda e: isinstance(e.message, Intent) and (e.sender, e.message.tick) == (1, 0)
+    world.run(1)
+    assert not both_know_all(world)
+    world.run(2)
+    assert both_know_all(world)
+
+
+def test_who_was_not_heard_for_three_ticks_and_more_merges_when_it_is_back():
+    world = world_of(
+        OPEN, ["talk " * 99] * 2, make_clock=lambda: BarrierClock(range(2), patience=5)
+    )
+    world.lost = lambda envelope: envelope.sender == 1
+    world.run(3)
+    assert world.cores[0].knowledge.known == 9
+    world.lost = lambda envelope: False
+    world.run(world.cores[0].tick + 30)  # it stays, and so goes through 20 while robot 1 waits
+    assert both_know_all(world)
+
+
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_lost_messages_stop_nobody_and_nobody_touches(share):
     chance = np.random.default_rng(1)
