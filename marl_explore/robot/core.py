@@ -128,15 +128,16 @@ class RobotCore:
         """Take what a sensor measured or another robot sent, in any order, late ones too.
 
         Raises:
-            ValueError: for a message that cannot come from this team; it is dropped.
+            ValueError: for a message that cannot come from this team, or a stamp in the future;
+                it is dropped.
         """
         if isinstance(event, Envelope):
             event.check(self.config.num_agents, (self.config.height, self.config.width))
             self._silent.discard(event.sender)
         if isinstance(event, Scan):
-            self.sensors.add_scan(event)
+            self.sensors.add_scan(event, now)
         elif isinstance(event, Pose):
-            self.sensors.add_pose(event)
+            self.sensors.add_pose(event, now)
         elif isinstance(event.message, Done):
             self.clock.report(event.message.robot, event.message.tick, now)
         else:
@@ -148,6 +149,7 @@ class RobotCore:
         Args:
             now: the time (seconds), of the same clock as the stamps.
         """
+        self._since = min(self._since, now)  # clocks can be set back
         while self._phase(now):
             pass
         for tick, partners in self._partners.items():

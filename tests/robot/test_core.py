@@ -92,6 +92,42 @@ def test_a_pose_that_was_overtaken_is_dropped():
     assert core.sensors.pose.x == 0.7
 
 
+def stamped(core, pose, stamp):
+    """That pose and the robot's scan, both with another stamp."""
+    return replace(pose, stamp=stamp), replace(core.sensors.scan, stamp=stamp)
+
+
+def test_what_is_stamped_in_the_future_is_refused_and_overtakes_nothing():
+    core, pose = driving_robot()
+    for event in stamped(core, pose, 99.0):
+        with pytest.raises(ValueError, match=r"stamp=99.0 is not allowed: .* 1.2 s"):
+            core.receive(event, 1.2)
+    for event in stamped(core, pose, 1.3):
+        core.receive(event, 1.2)  # clocks of two computers differ a little
+    assert core.advance(1.7).velocity.forward > 0
+    assert core.advance(2.0).velocity == ZERO
+
+
+def test_a_clock_that_is_set_back_stops_a_robot_until_new_data_come():
+    core, pose = driving_robot()
+    for event in stamped(core, pose, 40.0):
+        core.receive(event, 40.0)
+    assert core.advance(40.0).velocity.forward > 0
+    assert core.advance(20.0).velocity == ZERO
+    for event in stamped(core, pose, 20.1):
+        assert core.advance(20.1).velocity == ZERO
+        core.receive(event, 20.1)
+    assert core.advance(20.1).velocity.forward > 0
+
+
+def test_a_clock_that_is_set_back_stops_no_sensing():
+    world = world_of(OPEN, ["stay"] * 2)
+    world.now = 100.0
+    world.run(3)
+    world.now = 0.0
+    world.run(world.cores[0].tick + 2, most_steps=10)
+
+
 def test_a_scan_is_read_with_the_pose_of_its_time():
     obstacles, positions = arena("....\n.0..\n....")
     config = ArenaConfig(3, 4, 0.0, num_agents=1)
