@@ -113,6 +113,7 @@ class RobotCore:
         self._ways: dict[int, Way] = {}
         self._intents: dict[int, Intent] = {}
         self._legs: list[Cell] = []
+        self._passed: list[Cell] = []
 
     @property
     def is_sensing(self) -> bool:
@@ -222,7 +223,7 @@ class RobotCore:
         }
         self._intents = {**still, **heard, self.robot: own}
         self._ways = agree(self._intents)
-        self._legs = list(self._ways[self.robot].cells)
+        self._legs, self._passed = list(self._ways[self.robot].cells), [own.cell]
         self._since, self._phase = now, self._wait_turn
         if own.action == COMMUNICATE:
             talking = {robot for robot, other in heard.items() if other.action == COMMUNICATE}
@@ -257,11 +258,12 @@ class RobotCore:
     def _drive(self, now: float) -> bool:
         pose = self.sensors.pose
         while self._legs and pose and self._arrived(pose):
-            self._legs.pop(0)
+            self._passed.append(self._legs.pop(0))
         if not self._legs:
             return self._finish(now)
-        if now - self._since > self.settings.move_expiry:  # back, and if need be back again
-            self._legs, self._since = [self._intents[self.robot].cell], now
+        expired = now - self._since > self.settings.move_expiry
+        if expired and self._legs[-1] != self._passed[0]:  # back by the cells it came by
+            self._legs = self._passed[::-1]
         self._is_overdue(now)
         return False
 

@@ -278,6 +278,33 @@ def test_a_held_cell_is_waited_for_no_longer_than_a_lock_lasts():
     assert world.closest > 2 * RADIUS
 
 
+def gap_to(world, box, robot=0):
+    """From the rim of a robot to a box (metres)."""
+    (x, y), pose = world.frame.centre(box), world.poses[robot]
+    half = world.frame.cell_size / 2
+    return math.hypot(max(abs(pose.x - x) - half, 0), max(abs(pose.y - y) - half, 0)) - RADIUS
+
+
+@pytest.mark.parametrize("stuck_at", [-0.2, -0.05, 0.15])
+def test_a_move_that_is_given_up_goes_back_the_way_it_came(stuck_at):
+    """Robot 0 goes north-east by the east, and cannot go on when it is so far north (metres)."""
+    world = world_of("#..\n0..", ["NE"], settings=replace(PATIENT, move_expiry=20.0))
+    north, start = world.frame.centre((0, 1))[1], world.poses[0]
+    moved, gaps = world._moved, []
+
+    def held(pose, forward, turn):
+        after = moved(pose, forward, turn)
+        return moved(pose, 0.0, turn) if after.y > max(pose.y, north + stuck_at - 0.25) else after
+
+    world._moved = held
+    for _ in range(500):
+        world.step()
+        gaps.append(gap_to(world, (0, 0)))
+    assert max(abs(world.poses[0].x - start.x), abs(world.poses[0].y - start.y)) < 0.03
+    assert world.cores[0].tick > 0
+    assert min(gaps) > 0.1
+
+
 def test_a_robot_that_comes_late_joins():
     world = world_of(
         OPEN, ["S stay stay stay stay", "S"], make_clock=lambda: BarrierClock(range(2), patience=3)
