@@ -129,20 +129,20 @@ class RobotCore:
         """Take what a sensor measured or another robot sent, in any order, late ones too.
 
         Raises:
-            ValueError: for a message that cannot come from this team, or a stamp in the future;
-                it is dropped.
+            ValueError: for a message that cannot come from this team, a stamp in the future or
+                numbers that are not finite; it is dropped.
         """
-        if isinstance(event, Envelope):
-            event.check(self.config.num_agents, (self.config.height, self.config.width))
-            self._silent.discard(event.sender)
         if isinstance(event, Scan):
             self.sensors.add_scan(event, now)
         elif isinstance(event, Pose):
             self.sensors.add_pose(event, now)
-        elif isinstance(event.message, Done):
-            self.clock.report(event.message.robot, event.message.tick, now)
         else:
-            self.mail.receive(event)
+            event.check(self.config.num_agents, (self.config.height, self.config.width))
+            self._silent.discard(event.sender)
+            if isinstance(event.message, Done):
+                self.clock.report(event.message.robot, event.message.tick, now)
+            else:
+                self.mail.receive(event)
 
     def advance(self, now: float) -> Output:
         """Go on as far as what is known allows.

@@ -13,6 +13,13 @@ from marl_explore.codes import UNKNOWN
 from marl_explore.robot.geometry import Cell
 
 
+def _require_finite(measured: Pose | Scan, *names: str) -> None:
+    for name in names:
+        value = getattr(measured, name)
+        if not math.isfinite(value):
+            raise ValueError(f"{name}={value!r} is not allowed: it must be a finite number")
+
+
 @dataclass(frozen=True)
 class Pose:
     """Where a robot is, in the arena's frame."""
@@ -26,6 +33,14 @@ class Pose:
     """North (metres)."""
     yaw: float
     """Heading, 0 east and counter-clockwise (radians)."""
+
+    def check(self) -> None:
+        """Refuse numbers that are none.
+
+        Raises:
+            ValueError: naming the field and its value.
+        """
+        _require_finite(self, "stamp", "x", "y", "yaw")
 
     def ahead(self, distance: float) -> Pose:
         """The pose so far ahead (metres)."""
@@ -49,6 +64,14 @@ class Scan:
     """Shorter ranges say nothing (metres)."""
     range_max: float = 3.5
     """Longer ranges are no return (metres)."""
+
+    def check(self) -> None:
+        """Refuse numbers that are none, but for ranges.
+
+        Raises:
+            ValueError: naming the field and its value.
+        """
+        _require_finite(self, "stamp", "angle_min", "angle_increment", "range_min", "range_max")
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,9 @@ class Sensors:
         """Take a scan; one that is overtaken by a later one is dropped.
 
         Raises:
-            ValueError: for a stamp in the future (``now`` is in seconds).
+            ValueError: for a stamp in the future (``now`` is in seconds), or what is not finite.
         """
-        self._require_past(scan.stamp, now)
+        self._check(scan, now)
         if self.scan is None or scan.stamp >= self.scan.stamp or self._future(self.scan.stamp, now):
             self.scan = scan
 
@@ -39,9 +39,9 @@ class Sensors:
         """Take a robot's pose; one that is overtaken by a later one is dropped.
 
         Raises:
-            ValueError: for a stamp in the future (``now`` is in seconds).
+            ValueError: for a stamp in the future (``now`` is in seconds), or what is not finite.
         """
-        self._require_past(pose.stamp, now)
+        self._check(pose, now)
         poses = self._poses.setdefault(pose.robot, deque(maxlen=_KEPT))
         while poses and self._future(poses[-1].stamp, now):  # the clock was set back
             poses.pop()
@@ -51,11 +51,12 @@ class Sensors:
     def _future(self, stamp: float, now: float) -> bool:
         return stamp > now + self.max_pose_age
 
-    def _require_past(self, stamp: float, now: float) -> None:
-        if self._future(stamp, now):
+    def _check(self, event: Scan | Pose, now: float) -> None:
+        event.check()
+        if self._future(event.stamp, now):
             raise ValueError(
-                f"stamp={stamp!r} is not allowed: it is {now:.6g} s, and clocks may differ by "
-                f"{self.max_pose_age:g} s"
+                f"stamp={event.stamp!r} is not allowed: it is {now:.6g} s, and clocks may "
+                f"differ by {self.max_pose_age:g} s"
             )
 
     @property

@@ -63,12 +63,12 @@ class ParameterNode(Node, Generic[Given]):
 
 
 def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], None]) -> None:
-    """Spin a node until SIGINT or SIGTERM.
+    """Spin a node until SIGINT or SIGTERM, or an error.
 
     Args:
         make: the node.
         args: command line.
-        stop: called with the node when it has to end, while it can still publish.
+        stop: called with the node when it ends, by an error too, while it can still publish.
 
     Raises:
         SystemExit: with what is wrong, when the node refuses its parameters.
@@ -85,9 +85,11 @@ def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], 
             raise SystemExit(f"error: {error}") from None
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while not told:
-            executor.spin_once(timeout_sec=0.1)
-        stop(node)
-        node.destroy_node()
+        try:
+            while not told:
+                executor.spin_once(timeout_sec=0.1)
+        finally:
+            stop(node)
+            node.destroy_node()
     finally:
         rclpy.try_shutdown()

@@ -108,6 +108,25 @@ def test_what_is_stamped_in_the_future_is_refused_and_overtakes_nothing():
     assert core.advance(2.0).velocity == ZERO
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["stamp", "x", "y", "yaw"])
+def test_a_pose_that_is_not_finite_is_refused_and_changes_nothing(name, value):
+    core, pose = driving_robot()
+    before = core.advance(1.1)
+    with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*finite"):
+        core.receive(replace(pose, **{"stamp": 1.1, name: value}), 1.1)
+    assert core.advance(1.1).velocity == before.velocity != ZERO
+
+
+@pytest.mark.parametrize("name", ["stamp", "angle_min", "angle_increment", "range_max"])
+def test_a_scan_that_is_not_finite_is_refused_and_changes_nothing(name):
+    core, _ = driving_robot()
+    before = core.sensors.scan
+    with pytest.raises(ValueError, match=f"{name}=nan is not allowed: .*finite"):
+        core.receive(replace(before, **{"stamp": 1.1, name: math.nan}), 1.1)
+    assert core.sensors.scan is before
+
+
 def test_a_clock_that_is_set_back_stops_a_robot_until_new_data_come():
     core, pose = driving_robot()
     for event in stamped(core, pose, 40.0):

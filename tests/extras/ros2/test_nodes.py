@@ -11,6 +11,8 @@ import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt8MultiArray
 
@@ -20,7 +22,7 @@ from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Frame
 from marl_explore.robot.messages import Done, Intent
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LETTERS
+from marl_explore.ros2.node import LETTERS, run
 from tests.extras.ros2.team import Team, Watcher
 from tests.robot.policy_file import policy_file
 
@@ -128,6 +130,37 @@ def test_what_cannot_work_is_refused_in_a_line(workspace, program, words, said):
     assert done.returncode in (1, 2)
     assert said in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def test_a_pose_that_is_not_finite_is_dropped_and_ends_no_node(workspace, tmp_path):
+    log = tmp_path / "robot_0.log"
+    pose = Pose(1.0, 0, float("nan"), 0.0, 0.0)
+    broken = convert.fill(PoseStamped(), convert.pose_fields(pose, "arena"))
+    options = {"names": ["lab", "robot_0"], "robots": {"patience": 3.0}}
+    with running(workspace, policy_file(tmp_path), tmp_path, **options) as (_, watcher):
+        poses = watcher.create_publisher(PoseStamped, "/robot_0/pose", qos_profile_sensor_data)
+
+        def dropped():
+            poses.publish(broken)
+            return "dropped a pose: x=nan" in log.read_text()
+
+        watcher.until(dropped)
+        tick = watcher.ticks[0]
+        watcher.until(lambda: watcher.ticks[0] > tick + 1)
+
+
+def test_a_node_that_ends_by_an_error_is_stopped_first(monkeypatch):
+    monkeypatch.setattr("signal.signal", lambda number, handler: None)  # pytest keeps its own
+    stopped = []
+
+    def broken():
+        node = Node("broken")
+        node.create_timer(0.01, lambda: 1 / 0)
+        return node
+
+    with pytest.raises(ZeroDivisionError):
+        run(broken, None, lambda node: stopped.append(node.get_name()))
+    assert stopped == ["broken"]
 
 
 def travelled(poses):
