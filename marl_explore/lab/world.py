@@ -115,13 +115,13 @@ class LabWorld:
         return self._chance.normal(self.poses().numpy(), deviation)
 
     def measured_ranges(self) -> Floats:
-        """One turn of every lidar (metres; 0 is no return), counter-clockwise, [A, N, R]."""
+        """One turn of every lidar (metres; inf is no return), counter-clockwise, [A, N, R]."""
         turns = []
         for agent in self._vmas.agents:
             ranges = agent.sensors[0].measure().numpy()
             factor = self._chance.normal(1.0, self.noise.range_share, ranges.shape)
             returned = ranges < agent.sensors[0]._max_range - 1e-3
-            turns.append(np.where(returned, ranges * factor, 0.0))
+            turns.append(np.where(returned, ranges * factor, math.inf))
         return np.stack(turns, 1)
 
     # ------------------------------------------------------------------ motion

@@ -105,7 +105,7 @@ def _hide_corners(seen: NDArray[np.int8]) -> NDArray[np.int8]:
 def _beams(scan: Scan, pose: Pose) -> tuple[Floats, NDArray[np.bool_], Floats]:
     """Lengths [R] and headings [R, 2] of the beams that say something, and which came back."""
     ranges = np.asarray(scan.ranges, np.float64)
-    nothing = (ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)
+    nothing = ((ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)) & scan.is_on
     angle = pose.yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     says = nothing | (ranges > scan.range_min)
     length = np.where(nothing, scan.range_max, ranges)[says]

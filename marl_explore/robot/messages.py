@@ -55,7 +55,7 @@ class Scan:
     stamp: float
     """When it was measured (seconds)."""
     ranges: NDArray[np.floating]
-    """Distances [R] (metres); 0, inf and NaN are no return."""
+    """Distances [R] (metres); 0, inf and NaN are no return, if any says that the lidar is on."""
     angle_min: float = 0.0
     """Angle of the first beam in the robot's frame, 0 ahead (radians)."""
     angle_increment: float = 2 * np.pi / 360
@@ -65,13 +65,23 @@ class Scan:
     range_max: float = 3.5
     """Longer ranges are no return (metres)."""
 
+    @property
+    def is_on(self) -> bool:
+        """Whether the lidar turns and is not covered: it says something beyond ``range_min``."""
+        return bool((np.asarray(self.ranges) > self.range_min).any())
+
     def check(self) -> None:
-        """Refuse numbers that are none, but for ranges.
+        """Refuse numbers that are none, and a lidar that is off.
 
         Raises:
             ValueError: naming the field and its value.
         """
         _require_finite(self, "stamp", "angle_min", "angle_increment", "range_min", "range_max")
+        if not self.is_on:
+            raise ValueError(
+                f"a scan in which no range is above range_min={self.range_min} is not allowed: "
+                "the lidar is off or covered"
+            )
 
 
 @dataclass(frozen=True)

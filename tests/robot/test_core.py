@@ -127,6 +127,16 @@ def test_a_scan_that_is_not_finite_is_refused_and_changes_nothing(name):
     assert core.sensors.scan is before
 
 
+@pytest.mark.parametrize("off", [0.0, math.nan])
+def test_a_lidar_that_is_off_stops_a_robot(off):
+    core, pose = driving_robot()
+    broken = replace(core.sensors.scan, stamp=2.1, ranges=np.full(360, off))
+    core.receive(replace(pose, stamp=2.1), 2.1)
+    with pytest.raises(ValueError, match=r"no range is above range_min=0.12"):
+        core.receive(broken, 2.1)
+    assert core.advance(2.1).velocity == ZERO
+
+
 def test_a_clock_that_is_set_back_stops_a_robot_until_new_data_come():
     core, pose = driving_robot()
     for event in stamped(core, pose, 40.0):
