@@ -137,7 +137,8 @@ class RobotCore:
         elif isinstance(event, Pose):
             self.sensors.add_pose(event, now)
         else:
-            event.check(self.config.num_agents, (self.config.height, self.config.width))
+            shape = self.config.height, self.config.width
+            event.check(self.config.num_agents, shape, self.tick)
             self._silent.discard(event.sender)
             if isinstance(event.message, Done):
                 self.clock.report(event.message.robot, event.message.tick, now)

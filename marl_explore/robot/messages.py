@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import UNKNOWN
+from marl_explore.codes import NUM_ACTIONS, UNKNOWN
 from marl_explore.robot.geometry import Cell
+
+MOST_TICKS_APART = 10_000
+"""Between a message and who receives it; a robot that comes late takes over the team's tick."""
 
 
 def _require_finite(measured: Pose | Scan, *names: str) -> None:
@@ -133,10 +136,19 @@ class Share:
 
     @classmethod
     def decode(cls, data: bytes) -> Share:
-        """The share that was encoded."""
+        """The share that was encoded.
+
+        Raises:
+            ValueError: for another length, before any memory is taken, or other codes.
+        """
         _, robot, tick, height, width = cls._FORMAT.unpack_from(data)
+        length = cls._FORMAT.size + math.ceil(height * width / 4)
+        if len(data) != length:
+            raise ValueError(f"of {height} x {width} cells has {length} bytes, not {len(data)}")
         packed = np.frombuffer(data, np.uint8, offset=cls._FORMAT.size)
         low, high = np.unpackbits(packed, count=2 * height * width).reshape(2, height, width)
+        if (low & high).any():
+            raise ValueError("cells are unknown, free or occupied: 0, 1 or 2, not 3")
         return cls(robot, tick, (low + 2 * high).astype(np.int8) + np.int8(UNKNOWN))
 
 
@@ -188,20 +200,34 @@ class Envelope:
     """Who is to get it."""
     message: Message
 
-    def check(self, robots: int, shape: tuple[int, int]) -> None:
+    def check(self, robots: int, shape: tuple[int, int], tick: int) -> None:
         """Refuse what cannot come from a team.
 
         Args:
             robots: its size, N.
             shape: of its maps, [H, W].
+            tick: of who receives it.
 
         Raises:
             ValueError: naming what does not fit.
         """
-        for number in (self.sender, self.message.robot):
+        message = self.message
+        for number in (self.sender, message.robot):
             if number >= robots:
                 raise ValueError(f"a message of robot {number} is not allowed: 0 to {robots - 1}")
-        if isinstance(self.message, Share) and self.message.map.shape != shape:
+        if not isinstance(message, Share) and message.robot != self.sender:
             raise ValueError(
-                f"a map of shape {self.message.map.shape} is not allowed: the arena's is {shape}"
+                f"{type(message).__name__} of robot {message.robot} is not allowed: robot "
+                f"{self.sender} sent it, and only maps are passed on"
+            )
+        if isinstance(message, Intent) and message.action >= NUM_ACTIONS:
+            raise ValueError(f"action={message.action} is not allowed: 0 to {NUM_ACTIONS - 1}")
+        if abs(message.tick - tick) > MOST_TICKS_APART:
+            raise ValueError(
+                f"tick={message.tick} is not allowed: at most {MOST_TICKS_APART} from that of the "
+                f"receiver, {tick}"
+            )
+        if isinstance(message, Share) and message.map.shape != shape:
+            raise ValueError(
+                f"a map of shape {message.map.shape} is not allowed: the arena's is {shape}"
             )

@@ -410,6 +410,13 @@ def test_settings_that_cannot_work_are_refused(config, robot, message):
             Envelope(1, (0,), Share(1, 0, np.zeros((2, 3), np.int8))),
             r"\(2, 3\) is not allowed: .*\(4, 6\)",
         ),
+        (Envelope(1, (0,), Done(0, 0)), "Done of robot 0 is not allowed: robot 1 sent it"),
+        (Envelope(1, (0,), Intent(0, 0, (1, 1), 0)), "Intent of robot 0 .* robot 1 sent it"),
+        (Envelope(1, (0,), Intent(1, 0, (1, 4), 10)), "action=10 is not allowed: 0 to 9"),
+        (
+            Envelope(1, (0,), Done(1, 2**32 - 1)),
+            "tick=4294967295 is not allowed: at most 10000 .* [01]$",
+        ),
     ],
 )
 def test_messages_of_another_team_are_refused_and_change_nothing(letter, message):

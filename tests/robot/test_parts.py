@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -77,6 +78,23 @@ def test_a_map_comes_back_from_its_bytes():
 @pytest.mark.parametrize("data", [b"", b"\x09abc", b"\x01\x00", b"\x02" + bytes(9)[:-1]])
 def test_other_bytes_are_refused(data):
     with pytest.raises(ValueError, match="message"):
+        decode(data)
+
+
+HEAD = struct.Struct("<BBIHH")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (Share(1, 5, np.zeros((3, 3), np.int8)).encode()[:-1], "3 x 3 cells has 13 bytes, not 12"),
+        (Share(1, 5, np.zeros((3, 3), np.int8)).encode() + b"\0", "has 13 bytes, not 14"),
+        (HEAD.pack(2, 1, 5, 65535, 65535), "65535 x 65535 cells has 1073709067 bytes, not 10"),
+        (HEAD.pack(2, 1, 5, 1, 1) + b"\xff", "cells are unknown, free or occupied"),
+    ],
+)
+def test_broken_maps_are_refused_before_they_are_unpacked(data, message):
+    with pytest.raises(ValueError, match=f"broken message Share: .*{message}"):
         decode(data)
 
 
