@@ -3,52 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from marl_explore.codes import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS, STAY, Normalization
-from marl_explore.config import ArenaConfig, require_positive
+from marl_explore.config import ArenaConfig
 from marl_explore.robot.agreement import Way, agree
 from marl_explore.robot.clock import Clock
-from marl_explore.robot.driving import ZERO, Drive, Velocity
+from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Cell, Frame
 from marl_explore.robot.knowledge import Knowledge
 from marl_explore.robot.mailbox import KEPT_TICKS, Mailbox
-from marl_explore.robot.mapper import BeamModel, sight
+from marl_explore.robot.mapper import sight
 from marl_explore.robot.messages import Done, Envelope, Intent, Pose, Scan, Share
 from marl_explore.robot.observation import Observation, complete, observe, sides_of
 from marl_explore.robot.sensors import Sensors
+from marl_explore.robot.settings import Settings
 
 Policy = Callable[[Observation], int]
 CONTENTION_CELLS = 8.0
 """Squared distance of two robots whose moves can have one target (cells)."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a robot waits, drives and looks; times in seconds."""
-
-    max_pose_age: float = 0.5
-    """A robot whose pose is older stands still."""
-    max_scan_age: float = 1.0
-    """A robot whose scan is older stands still."""
-    message_patience: float = 2.0
-    """How long intents and maps of others are waited for."""
-    lock_expiry: float = 20.0
-    """How long a cell that another robot holds is waited for before the move is given up."""
-    move_expiry: float = 40.0
-    """How long a move may take before the robot goes back."""
-    stop_when_complete: bool = True
-    """Whether a robot with no frontier left to reach makes no more moves."""
-    drive: Drive = field(default_factory=Drive)
-    beams: BeamModel = field(default_factory=BeamModel)
-
-    def __post_init__(self) -> None:
-        """Refuse times that are none."""
-        for name in ("max_pose_age", "message_patience", "lock_expiry", "move_expiry"):
-            require_positive(name, getattr(self, name), "seconds")
-        if not self.max_scan_age > 0:
-            raise ValueError(f"max_scan_age={self.max_scan_age!r} is not allowed: more than 0 s")
 
 
 class Output(NamedTuple):
@@ -171,6 +144,8 @@ class RobotCore:
         return True
 
     def _sense(self, now: float) -> bool:
+        if self._begin(now):  # the others went on
+            return True
         scan = self.sensors.scan
         if scan is None or scan.stamp < self._since or scan is self._used:
             return False
@@ -214,8 +189,12 @@ class RobotCore:
     def _agree(self, now: float) -> bool:
         heard = self.mail.intents(self.tick, self._reach)
         missing = self._reach - heard.keys()
-        if missing - self._silent and now - self._since <= self.settings.message_patience:
+        if missing - self._silent and self._is_patient(now):
             return False
+        if self._begin(now):  # these intents are of the past
+            if not self.clock.announces:  # otherwise it may be this robot that was not there
+                self._silent = missing
+            return True
         self._silent = missing
         own = self._intents[self.robot]
         still = {
@@ -233,10 +212,15 @@ class RobotCore:
             self._phase = self._exchange
         return True
 
+    def _is_patient(self, now: float) -> bool:
+        """Whether messages of this tick are still waited for."""
+        waited = now - self._since
+        return waited <= self.settings.message_patience and self.clock.tick(now) <= self.tick
+
     def _exchange(self, now: float) -> bool:
         partners = self._partners[self.tick]
         missing = partners - self.mail.shared(self.tick, partners).keys()
-        if missing and now - self._since <= self.settings.message_patience:
+        if missing and self._is_patient(now):
             return False
         self.mail.pass_on(self.tick, partners)
         return self._finish(now)

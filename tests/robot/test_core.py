@@ -345,6 +345,39 @@ def test_a_robot_that_comes_late_joins():
     assert cells(world) == [(2, 1), (2, 4)]
 
 
+def left_behind(phase):
+    """A team that is at tick 5, robot 0 still in a phase of tick 0, and what robot 0 sent since."""
+    world, sent = world_of(OPEN, ["talk"] * 2), []
+    world.dead.add(1)
+    core = world.cores[0]
+    if phase == "_sense":
+        core.advance(world.now)
+    else:
+        world.step()
+    if phase == "_exchange":
+        core.receive(Envelope(1, (0,), Intent(1, 0, (1, 4), TALK)), world.now)
+        core.advance(world.now)
+    assert (core.tick, core._phase.__name__) == (0, phase)
+    world.lost = lambda envelope: bool(sent.append(envelope.message))
+    core.receive(Envelope(1, (0,), Done(1, 5)), world.now)
+    return world, sent
+
+
+@pytest.mark.parametrize("phase", ["_sense", "_agree", "_exchange"])
+def test_who_was_left_behind_decides_in_the_tick_of_the_others(phase):
+    world, sent = left_behind(phase)
+    world.step()
+    assert [m.tick for m in sent if isinstance(m, Intent)] == [5]
+    assert world.cores[0]._phase.__name__ == "_agree"
+
+
+def test_ticks_shorter_than_the_patience_do_not_stop_a_robot_for_one_that_is_dead():
+    world = world_of(OPEN, ["S S", ""], make_clock=lambda: PeriodClock(2.0))
+    world.dead.add(1)
+    world.run(6)
+    assert cells(world)[0] == (2, 1)
+
+
 # ---------------------------------------------------------------- clocks, limits, the end
 
 
