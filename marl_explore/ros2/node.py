@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Generic
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -39,7 +40,7 @@ def time_of(node: Node) -> float:
 
 
 class ParameterNode(Node, Generic[Given]):
-    """A node whose parameters are the fields of a dataclass.
+    """A node whose parameters are the fields of a dataclass; while it runs they are read-only.
 
     Args:
         name: of the node.
@@ -60,6 +61,8 @@ class ParameterNode(Node, Generic[Given]):
         for name, value in flat(default).items():
             if name not in given:
                 self.declare_parameter(name, value)
+            kind = self.describe_parameter(name).type
+            self.set_descriptor(name, ParameterDescriptor(type=kind, read_only=True))
 
 
 def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], None]) -> None:

@@ -12,6 +12,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt8MultiArray
@@ -22,7 +23,8 @@ from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Frame
 from marl_explore.robot.messages import Done, Intent
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LETTERS, run
+from marl_explore.ros2.node import LETTERS, ParameterNode, run
+from marl_explore.ros2.parameters import RobotParameters
 from tests.extras.ros2.team import Team, Watcher
 from tests.robot.policy_file import policy_file
 
@@ -161,6 +163,20 @@ def test_a_node_that_ends_by_an_error_is_stopped_first(monkeypatch):
     with pytest.raises(ZeroDivisionError):
         run(broken, None, lambda node: stopped.append(node.get_name()))
     assert stopped == ["broken"]
+
+
+def test_parameters_are_read_only_once_a_node_runs():
+    rclpy.init(args=["--ros-args", "-p", "rate:=5.0"])
+    try:
+        node = ParameterNode("robot_node", RobotParameters())
+        for name, value in (("rate", 5.0), ("patience", 60.0), ("settings.max_pose_age", 0.5)):
+            (result,) = node.set_parameters([Parameter(name, value=value + 1)])
+            assert not result.successful
+            assert "read-only" in result.reason
+            assert node.get_parameter(name).value == value
+        assert node.given.rate == 5.0
+    finally:
+        rclpy.shutdown()
 
 
 def travelled(poses):
