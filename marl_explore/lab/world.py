@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ArenaConfig, require_not_negative
 from marl_explore.core.world import check_starts
 
 Floats = NDArray[np.floating]
@@ -27,6 +27,12 @@ class Noise:
     """Of x and of y (metres)."""
     heading: float = 0.0
     """Of yaw (radians)."""
+
+    def __post_init__(self) -> None:
+        """Refuse deviations that are none."""
+        units = {"range_share": "of a range", "position": "metres", "heading": "radians"}
+        for name, unit in units.items():
+            require_not_negative(name, getattr(self, name), unit)
 
 
 class LabWorld:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_explore.codes import FREE, OCCUPIED, UNKNOWN
+from marl_explore.config import require_integer, require_not_negative, require_positive
 from marl_explore.robot.geometry import Cell, Frame
 from marl_explore.robot.messages import Pose, Scan
 
@@ -30,6 +31,18 @@ class BeamModel:
     """Fewest votes that decide a cell."""
     lidar_ahead: float = 0.0
     """Where the lidar is, ahead of the middle of the robot (metres)."""
+
+    def __post_init__(self) -> None:
+        """Refuse votes that decide nothing, or everything."""
+        require_positive("entry_tolerance", self.entry_tolerance, "metres")
+        for name in ("margin", "robot_radius"):
+            require_not_negative(name, getattr(self, name), "metres")
+        require_integer("votes", self.votes, 1)
+        if not math.isfinite(self.lidar_ahead):
+            raise ValueError(
+                f"lidar_ahead={self.lidar_ahead!r} is not allowed: it must be a finite number of "
+                "metres"
+            )
 
 
 def sight(

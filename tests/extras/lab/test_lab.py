@@ -168,3 +168,10 @@ def test_the_recipe_draws_the_papers_figure(tmp_path):
     content = json.loads((tmp_path / "lab" / "lab.json").read_text())
     assert content["summary"]["wrong cells"] == 0
     assert len(content["mean coverage"]["merged"]) == 4
+
+
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+@pytest.mark.parametrize("name", ["range_share", "position", "heading"])
+def test_noise_that_is_none_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*at least 0"):
+        Noise(**{name: value})
