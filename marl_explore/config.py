@@ -32,6 +32,11 @@ def require_positive(name: str, value: float, unit: str) -> None:
     _require(0 < value < math.inf, name, value, f"it must be a positive finite number of {unit}")
 
 
+def require_not_negative(name: str, value: float, unit: str) -> None:
+    """Refuse what is no finite number of at least 0."""
+    _require(0 <= value < math.inf, name, value, f"it must be at least 0 {unit}, and finite")
+
+
 def require_coverage(name: str, value: float | None) -> None:
     """Refuse a share of coverage that ends no episode or all of them."""
     _require(value is None or 0 < value <= 1, name, value, "it must be None or lie in (0, 1]")

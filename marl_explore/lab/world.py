@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ArenaConfig, require_not_negative
 from marl_explore.core.world import check_starts
 
 Floats = NDArray[np.floating]
@@ -27,6 +27,12 @@ class Noise:
     """Of x and of y (metres)."""
     heading: float = 0.0
     """Of yaw (radians)."""
+
+    def __post_init__(self) -> None:
+        """Refuse deviations that are none."""
+        units = {"range_share": "of a range", "position": "metres", "heading": "radians"}
+        for name, unit in units.items():
+            require_not_negative(name, getattr(self, name), unit)
 
 
 class LabWorld:
@@ -115,13 +121,13 @@ class LabWorld:
         return self._chance.normal(self.poses().numpy(), deviation)
 
     def measured_ranges(self) -> Floats:
-        """One turn of every lidar (metres; 0 is no return), counter-clockwise, [A, N, R]."""
+        """One turn of every lidar (metres; inf is no return), counter-clockwise, [A, N, R]."""
         turns = []
         for agent in self._vmas.agents:
             ranges = agent.sensors[0].measure().numpy()
             factor = self._chance.normal(1.0, self.noise.range_share, ranges.shape)
             returned = ranges < agent.sensors[0]._max_range - 1e-3
-            turns.append(np.where(returned, ranges * factor, 0.0))
+            turns.append(np.where(returned, ranges * factor, math.inf))
         return np.stack(turns, 1)
 
     # ------------------------------------------------------------------ motion

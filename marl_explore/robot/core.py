@@ -3,52 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from marl_explore.codes import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS, STAY, Normalization
-from marl_explore.config import ArenaConfig, require_positive
+from marl_explore.config import ArenaConfig
 from marl_explore.robot.agreement import Way, agree
 from marl_explore.robot.clock import Clock
-from marl_explore.robot.driving import ZERO, Drive, Velocity
+from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Cell, Frame
 from marl_explore.robot.knowledge import Knowledge
 from marl_explore.robot.mailbox import KEPT_TICKS, Mailbox
-from marl_explore.robot.mapper import BeamModel, sight
+from marl_explore.robot.mapper import sight
 from marl_explore.robot.messages import Done, Envelope, Intent, Pose, Scan, Share
 from marl_explore.robot.observation import Observation, complete, observe, sides_of
 from marl_explore.robot.sensors import Sensors
+from marl_explore.robot.settings import Settings
 
 Policy = Callable[[Observation], int]
 CONTENTION_CELLS = 8.0
 """Squared distance of two robots whose moves can have one target (cells)."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a robot waits, drives and looks; times in seconds."""
-
-    max_pose_age: float = 0.5
-    """A robot whose pose is older stands still."""
-    max_scan_age: float = 1.0
-    """A robot whose scan is older stands still."""
-    message_patience: float = 2.0
-    """How long intents and maps of others are waited for."""
-    lock_expiry: float = 20.0
-    """How long a cell that another robot holds is waited for before the move is given up."""
-    move_expiry: float = 40.0
-    """How long a move may take before the robot goes back."""
-    stop_when_complete: bool = True
-    """Whether a robot with no frontier left to reach makes no more moves."""
-    drive: Drive = field(default_factory=Drive)
-    beams: BeamModel = field(default_factory=BeamModel)
-
-    def __post_init__(self) -> None:
-        """Refuse times that are none."""
-        for name in ("max_pose_age", "message_patience", "lock_expiry", "move_expiry"):
-            require_positive(name, getattr(self, name), "seconds")
-        if not self.max_scan_age > 0:
-            raise ValueError(f"max_scan_age={self.max_scan_age!r} is not allowed: more than 0 s")
 
 
 class Output(NamedTuple):
@@ -113,6 +86,7 @@ class RobotCore:
         self._ways: dict[int, Way] = {}
         self._intents: dict[int, Intent] = {}
         self._legs: list[Cell] = []
+        self._passed: list[Cell] = []
 
     @property
     def is_sensing(self) -> bool:
@@ -128,18 +102,21 @@ class RobotCore:
         """Take what a sensor measured or another robot sent, in any order, late ones too.
 
         Raises:
-            ValueError: for a message that cannot come from this team; it is dropped.
+            ValueError: for a message that cannot come from this team, a stamp in the future or
+                numbers that are not finite; it is dropped.
         """
-        if isinstance(event, Envelope):
-            event.check(self.config.num_agents, (self.config.height, self.config.width))
         if isinstance(event, Scan):
-            self.sensors.add_scan(event)
+            self.sensors.add_scan(event, now)
         elif isinstance(event, Pose):
-            self.sensors.add_pose(event)
-        elif isinstance(event.message, Done):
-            self.clock.report(event.message.robot, event.message.tick, now)
+            self.sensors.add_pose(event, now)
         else:
-            self.mail.receive(event)
+            shape = self.config.height, self.config.width
+            event.check(self.config.num_agents, shape, self.tick)
+            self._silent.discard(event.sender)
+            if isinstance(event.message, Done):
+                self.clock.report(event.message.robot, event.message.tick, now)
+            else:
+                self.mail.receive(event)
 
     def advance(self, now: float) -> Output:
         """Go on as far as what is known allows.
@@ -147,6 +124,7 @@ class RobotCore:
         Args:
             now: the time (seconds), of the same clock as the stamps.
         """
+        self._since = min(self._since, now)  # clocks can be set back
         while self._phase(now):
             pass
         for tick, partners in self._partners.items():
@@ -166,6 +144,8 @@ class RobotCore:
         return True
 
     def _sense(self, now: float) -> bool:
+        if self._begin(now):  # the others went on
+            return True
         scan = self.sensors.scan
         if scan is None or scan.stamp < self._since or scan is self._used:
             return False
@@ -209,8 +189,12 @@ class RobotCore:
     def _agree(self, now: float) -> bool:
         heard = self.mail.intents(self.tick, self._reach)
         missing = self._reach - heard.keys()
-        if missing - self._silent and now - self._since <= self.settings.message_patience:
+        if missing - self._silent and self._is_patient(now):
             return False
+        if self._begin(now):  # these intents are of the past
+            if not self.clock.announces:  # otherwise it may be this robot that was not there
+                self._silent = missing
+            return True
         self._silent = missing
         own = self._intents[self.robot]
         still = {
@@ -219,7 +203,7 @@ class RobotCore:
         }
         self._intents = {**still, **heard, self.robot: own}
         self._ways = agree(self._intents)
-        self._legs = list(self._ways[self.robot].cells)
+        self._legs, self._passed = list(self._ways[self.robot].cells), [own.cell]
         self._since, self._phase = now, self._wait_turn
         if own.action == COMMUNICATE:
             talking = {robot for robot, other in heard.items() if other.action == COMMUNICATE}
@@ -228,10 +212,15 @@ class RobotCore:
             self._phase = self._exchange
         return True
 
+    def _is_patient(self, now: float) -> bool:
+        """Whether messages of this tick are still waited for."""
+        waited = now - self._since
+        return waited <= self.settings.message_patience and self.clock.tick(now) <= self.tick
+
     def _exchange(self, now: float) -> bool:
         partners = self._partners[self.tick]
         missing = partners - self.mail.shared(self.tick, partners).keys()
-        if missing and now - self._since <= self.settings.message_patience:
+        if missing and self._is_patient(now):
             return False
         self.mail.pass_on(self.tick, partners)
         return self._finish(now)
@@ -254,11 +243,12 @@ class RobotCore:
     def _drive(self, now: float) -> bool:
         pose = self.sensors.pose
         while self._legs and pose and self._arrived(pose):
-            self._legs.pop(0)
+            self._passed.append(self._legs.pop(0))
         if not self._legs:
             return self._finish(now)
-        if now - self._since > self.settings.move_expiry:  # back, and if need be back again
-            self._legs, self._since = [self._intents[self.robot].cell], now
+        expired = now - self._since > self.settings.move_expiry
+        if expired and self._legs[-1] != self._passed[0]:  # back by the cells it came by
+            self._legs = self._passed[::-1]
         self._is_overdue(now)
         return False
 

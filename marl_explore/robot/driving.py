@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from marl_explore.config import require_not_negative, require_positive
 from marl_explore.robot.geometry import wrapped
 from marl_explore.robot.messages import Pose
 
@@ -41,6 +42,20 @@ class Drive:
     """Per second."""
     clearance: float = 0.33
     """A robot ahead and nearer than this is waited for (metres)."""
+
+    def __post_init__(self) -> None:
+        """Refuse limits and gains that move no robot."""
+        units = {
+            "max_forward": "metres per second",
+            "max_turn": "radians per second",
+            "arrival": "metres",
+            "heading_tolerance": "radians",
+            "forward_gain": "1/s",
+            "turn_gain": "1/s",
+        }
+        for name, unit in units.items():
+            require_positive(name, getattr(self, name), unit)
+        require_not_negative("clearance", self.clearance, "metres")
 
     def arrived(self, pose: Pose, goal: tuple[float, float]) -> bool:
         """Whether a robot is at its goal, (x, y) in metres."""

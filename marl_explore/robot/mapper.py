@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_explore.codes import FREE, OCCUPIED, UNKNOWN
+from marl_explore.config import require_integer, require_not_negative, require_positive
 from marl_explore.robot.geometry import Cell, Frame
 from marl_explore.robot.messages import Pose, Scan
 
@@ -30,6 +31,18 @@ class BeamModel:
     """Fewest votes that decide a cell."""
     lidar_ahead: float = 0.0
     """Where the lidar is, ahead of the middle of the robot (metres)."""
+
+    def __post_init__(self) -> None:
+        """Refuse votes that decide nothing, or everything."""
+        require_positive("entry_tolerance", self.entry_tolerance, "metres")
+        for name in ("margin", "robot_radius"):
+            require_not_negative(name, getattr(self, name), "metres")
+        require_integer("votes", self.votes, 1)
+        if not math.isfinite(self.lidar_ahead):
+            raise ValueError(
+                f"lidar_ahead={self.lidar_ahead!r} is not allowed: it must be a finite number of "
+                "metres"
+            )
 
 
 def sight(
@@ -105,7 +118,7 @@ def _hide_corners(seen: NDArray[np.int8]) -> NDArray[np.int8]:
 def _beams(scan: Scan, pose: Pose) -> tuple[Floats, NDArray[np.bool_], Floats]:
     """Lengths [R] and headings [R, 2] of the beams that say something, and which came back."""
     ranges = np.asarray(scan.ranges, np.float64)
-    nothing = (ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)
+    nothing = ((ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)) & scan.is_on
     angle = pose.yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     says = nothing | (ranges > scan.range_min)
     length = np.where(nothing, scan.range_max, ranges)[says]

@@ -9,8 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import UNKNOWN
+from marl_explore.codes import NUM_ACTIONS, UNKNOWN
 from marl_explore.robot.geometry import Cell
+
+MOST_TICKS_APART = 10_000
+"""Between a message and who receives it; a robot that comes late takes over the team's tick."""
+
+
+def _require_finite(measured: Pose | Scan, *names: str) -> None:
+    for name in names:
+        value = getattr(measured, name)
+        if not math.isfinite(value):
+            raise ValueError(f"{name}={value!r} is not allowed: it must be a finite number")
 
 
 @dataclass(frozen=True)
@@ -27,6 +37,14 @@ class Pose:
     yaw: float
     """Heading, 0 east and counter-clockwise (radians)."""
 
+    def check(self) -> None:
+        """Refuse numbers that are none.
+
+        Raises:
+            ValueError: naming the field and its value.
+        """
+        _require_finite(self, "stamp", "x", "y", "yaw")
+
     def ahead(self, distance: float) -> Pose:
         """The pose so far ahead (metres)."""
         x, y = self.x + distance * math.cos(self.yaw), self.y + distance * math.sin(self.yaw)
@@ -40,7 +58,7 @@ class Scan:
     stamp: float
     """When it was measured (seconds)."""
     ranges: NDArray[np.floating]
-    """Distances [R] (metres); 0, inf and NaN are no return."""
+    """Distances [R] (metres); 0, inf and NaN are no return, if any says that the lidar is on."""
     angle_min: float = 0.0
     """Angle of the first beam in the robot's frame, 0 ahead (radians)."""
     angle_increment: float = 2 * np.pi / 360
@@ -49,6 +67,24 @@ class Scan:
     """Shorter ranges say nothing (metres)."""
     range_max: float = 3.5
     """Longer ranges are no return (metres)."""
+
+    @property
+    def is_on(self) -> bool:
+        """Whether the lidar turns and is not covered: it says something beyond ``range_min``."""
+        return bool((np.asarray(self.ranges) > self.range_min).any())
+
+    def check(self) -> None:
+        """Refuse numbers that are none, and a lidar that is off.
+
+        Raises:
+            ValueError: naming the field and its value.
+        """
+        _require_finite(self, "stamp", "angle_min", "angle_increment", "range_min", "range_max")
+        if not self.is_on:
+            raise ValueError(
+                f"a scan in which no range is above range_min={self.range_min} is not allowed: "
+                "the lidar is off or covered"
+            )
 
 
 @dataclass(frozen=True)
@@ -100,10 +136,19 @@ class Share:
 
     @classmethod
     def decode(cls, data: bytes) -> Share:
-        """The share that was encoded."""
+        """The share that was encoded.
+
+        Raises:
+            ValueError: for another length, before any memory is taken, or other codes.
+        """
         _, robot, tick, height, width = cls._FORMAT.unpack_from(data)
+        length = cls._FORMAT.size + math.ceil(height * width / 4)
+        if len(data) != length:
+            raise ValueError(f"of {height} x {width} cells has {length} bytes, not {len(data)}")
         packed = np.frombuffer(data, np.uint8, offset=cls._FORMAT.size)
         low, high = np.unpackbits(packed, count=2 * height * width).reshape(2, height, width)
+        if (low & high).any():
+            raise ValueError("cells are unknown, free or occupied: 0, 1 or 2, not 3")
         return cls(robot, tick, (low + 2 * high).astype(np.int8) + np.int8(UNKNOWN))
 
 
@@ -155,20 +200,34 @@ class Envelope:
     """Who is to get it."""
     message: Message
 
-    def check(self, robots: int, shape: tuple[int, int]) -> None:
+    def check(self, robots: int, shape: tuple[int, int], tick: int) -> None:
         """Refuse what cannot come from a team.
 
         Args:
             robots: its size, N.
             shape: of its maps, [H, W].
+            tick: of who receives it.
 
         Raises:
             ValueError: naming what does not fit.
         """
-        for number in (self.sender, self.message.robot):
+        message = self.message
+        for number in (self.sender, message.robot):
             if number >= robots:
                 raise ValueError(f"a message of robot {number} is not allowed: 0 to {robots - 1}")
-        if isinstance(self.message, Share) and self.message.map.shape != shape:
+        if not isinstance(message, Share) and message.robot != self.sender:
             raise ValueError(
-                f"a map of shape {self.message.map.shape} is not allowed: the arena's is {shape}"
+                f"{type(message).__name__} of robot {message.robot} is not allowed: robot "
+                f"{self.sender} sent it, and only maps are passed on"
+            )
+        if isinstance(message, Intent) and message.action >= NUM_ACTIONS:
+            raise ValueError(f"action={message.action} is not allowed: 0 to {NUM_ACTIONS - 1}")
+        if abs(message.tick - tick) > MOST_TICKS_APART:
+            raise ValueError(
+                f"tick={message.tick} is not allowed: at most {MOST_TICKS_APART} from that of the "
+                f"receiver, {tick}"
+            )
+        if isinstance(message, Share) and message.map.shape != shape:
+            raise ValueError(
+                f"a map of shape {message.map.shape} is not allowed: the arena's is {shape}"
             )

@@ -12,8 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import COMMUNICATE, Normalization
-from marl_explore.config import ArenaConfig
+from marl_explore.codes import (
+    COMMUNICATE,
+    NORMALIZATIONS,
+    NUM_ACTIONS,
+    NUM_DIRECTIONS,
+    NUM_FEATURES,
+    Normalization,
+)
+from marl_explore.config import ABILITIES, ArenaConfig
 from marl_explore.robot.observation import Observation
 
 FORMAT = "marl_explore.actors/1"
@@ -21,6 +28,7 @@ Array = NDArray[np.float32]
 Weights = Mapping[str, Array]
 _EPSILON = 1e-5  # of torch's layer normalisation
 _NEVER = -1e4
+_ALLOWED = {"architecture": ("mlp", "cnn"), "fpr": NORMALIZATIONS}
 
 
 class ExportedPolicy:
@@ -36,7 +44,8 @@ class ExportedPolicy:
         seed: of the drawn actions.
 
     Raises:
-        ValueError: when the file is no exported policy, or has no such robot.
+        ValueError: when the file is no exported policy, naming what does not fit, or has no such
+            robot.
     """
 
     def __init__(self, path: str | Path, robot: int, sample: bool = True, seed: int = 0) -> None:
@@ -56,6 +65,28 @@ class ExportedPolicy:
         self._without = frozenset(self.spec["without"])
         self._logits = _cnn if self.spec["architecture"] == "cnn" else _mlp
         self._chance = np.random.default_rng([seed, robot]) if sample else None
+        try:
+            self._check_weights()
+        except (LookupError, ValueError) as error:
+            reason = f"the actor of robot {robot} does not fit its spec: {error}"
+            raise ValueError(f"{path} is not an exported policy: {reason}") from error
+
+    def _check_weights(self) -> None:
+        """Refuse arrays that are no network for the arena, by a trial."""
+        for name, array in self._weights.items():
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name} must be finite")
+            layer, _, kind = name.rpartition(".")
+            bias = self._weights.get(f"{layer}.bias")
+            if kind == "weight" and (bias is None or bias.shape != array.shape[:1]):
+                shape = None if bias is None else bias.shape
+                raise ValueError(f"{layer}.bias of shape {shape} must have {array.shape[:1]}")
+        side, robots = self.arena.fov_size, self.arena.num_agents
+        shapes = {"fov": (side, side), "fpr": (NUM_DIRECTIONS, NUM_FEATURES), "net": (robots,)}
+        inputs = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+        logits = self._logits(self._weights, **inputs)
+        if logits.shape != (NUM_ACTIONS,):
+            raise ValueError(f"it gives {logits.shape} instead of {NUM_ACTIONS} logits")
 
     def __call__(self, observation: Observation) -> int:
         """An allowed action."""
@@ -98,11 +129,24 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         spec = json.loads(str(arrays.pop("spec")))
-        if spec.get("format") != FORMAT:
-            raise ValueError(f"its format is {spec.get('format')!r}, expected {FORMAT!r}")
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        _check_spec(spec)
+    except (OSError, KeyError, TypeError, ValueError, AttributeError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is not an exported policy: {error}") from error
     return spec, arrays
+
+
+def _check_spec(spec: Mapping[str, Any]) -> None:
+    if spec.get("format") != FORMAT:
+        raise ValueError(f"its format is {spec.get('format')!r}, expected {FORMAT!r}")
+    for name in ("arena", "architecture", "fpr", "without"):
+        if name not in spec:
+            raise ValueError(f"its spec has no {name!r}")
+    for name, allowed in _ALLOWED.items():
+        if spec[name] not in allowed:
+            raise ValueError(f"{name}={spec[name]!r} is not allowed: use one of {allowed}")
+    if not set(spec["without"]) <= set(ABILITIES):
+        raise ValueError(f"without={spec['without']!r} is not allowed: use some of {ABILITIES}")
+    ArenaConfig(**spec["arena"])
 
 
 def _layers(weights: Weights, prefix: str) -> list[str]:

@@ -15,7 +15,7 @@ class Sensors:
 
     Args:
         robot: whose sensors they are.
-        max_pose_age: an older pose is none (seconds).
+        max_pose_age: an older pose is none (seconds), and what is stamped so far in the future.
         max_scan_age: an older scan is none (seconds).
     """
 
@@ -25,16 +25,39 @@ class Sensors:
         self.scan: Scan | None = None
         self._poses: dict[int, deque[Pose]] = {}
 
-    def add_scan(self, scan: Scan) -> None:
-        """Take a scan; one that is overtaken by a later one is dropped."""
-        if self.scan is None or scan.stamp >= self.scan.stamp:
+    def add_scan(self, scan: Scan, now: float) -> None:
+        """Take a scan; one that is overtaken by a later one is dropped.
+
+        Raises:
+            ValueError: for a stamp in the future (``now`` is in seconds), or what is not finite.
+        """
+        self._check(scan, now)
+        if self.scan is None or scan.stamp >= self.scan.stamp or self._future(self.scan.stamp, now):
             self.scan = scan
 
-    def add_pose(self, pose: Pose) -> None:
-        """Take a robot's pose; one that is overtaken by a later one is dropped."""
+    def add_pose(self, pose: Pose, now: float) -> None:
+        """Take a robot's pose; one that is overtaken by a later one is dropped.
+
+        Raises:
+            ValueError: for a stamp in the future (``now`` is in seconds), or what is not finite.
+        """
+        self._check(pose, now)
         poses = self._poses.setdefault(pose.robot, deque(maxlen=_KEPT))
+        while poses and self._future(poses[-1].stamp, now):  # the clock was set back
+            poses.pop()
         if not poses or pose.stamp >= poses[-1].stamp:
             poses.append(pose)
+
+    def _future(self, stamp: float, now: float) -> bool:
+        return stamp > now + self.max_pose_age
+
+    def _check(self, event: Scan | Pose, now: float) -> None:
+        event.check()
+        if self._future(event.stamp, now):
+            raise ValueError(
+                f"stamp={event.stamp!r} is not allowed: it is {now:.6g} s, and clocks may "
+                f"differ by {self.max_pose_age:g} s"
+            )
 
     @property
     def pose(self) -> Pose | None:
@@ -43,13 +66,13 @@ class Sensors:
         return poses[-1] if poses else None
 
     def fresh(self, now: float) -> bool:
-        """Whether neither the robot's pose nor its scan is too old to drive by."""
+        """Whether the robot's pose and scan are of now, as far as it takes to drive by them."""
         pose, scan = self.pose, self.scan
         return (
             pose is not None
             and scan is not None
-            and now - pose.stamp <= self.max_pose_age
-            and now - scan.stamp <= self.max_scan_age
+            and abs(now - pose.stamp) <= self.max_pose_age
+            and abs(now - scan.stamp) <= self.max_scan_age
         )
 
     def at(self, stamp: float) -> dict[int, Pose]:

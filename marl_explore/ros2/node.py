@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Generic
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -39,7 +40,7 @@ def time_of(node: Node) -> float:
 
 
 class ParameterNode(Node, Generic[Given]):
-    """A node whose parameters are the fields of a dataclass.
+    """A node whose parameters are the fields of a dataclass; while it runs they are read-only.
 
     Args:
         name: of the node.
@@ -60,15 +61,17 @@ class ParameterNode(Node, Generic[Given]):
         for name, value in flat(default).items():
             if name not in given:
                 self.declare_parameter(name, value)
+            kind = self.describe_parameter(name).type
+            self.set_descriptor(name, ParameterDescriptor(type=kind, read_only=True))
 
 
 def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], None]) -> None:
-    """Spin a node until SIGINT or SIGTERM.
+    """Spin a node until SIGINT or SIGTERM, or an error.
 
     Args:
         make: the node.
         args: command line.
-        stop: called with the node when it has to end, while it can still publish.
+        stop: called with the node when it ends, by an error too, while it can still publish.
 
     Raises:
         SystemExit: with what is wrong, when the node refuses its parameters.
@@ -85,9 +88,11 @@ def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], 
             raise SystemExit(f"error: {error}") from None
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while not told:
-            executor.spin_once(timeout_sec=0.1)
-        stop(node)
-        node.destroy_node()
+        try:
+            while not told:
+                executor.spin_once(timeout_sec=0.1)
+        finally:
+            stop(node)
+            node.destroy_node()
     finally:
         rclpy.try_shutdown()

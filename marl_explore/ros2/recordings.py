@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -117,14 +119,17 @@ def replay(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
         ValueError: when that robot sent no velocity.
     """
     own, advanced = team[core.robot], 0
-    poses = {f"/{name}/pose": robot for robot, name in enumerate(team)}
+    take: dict[str, Callable[[Any], Scan | Pose | Envelope]] = {
+        f"/{name}/pose": partial(convert.to_pose, robot=robot) for robot, name in enumerate(team)
+    }
+    take |= {
+        f"/{own}/scan": convert.to_scan,
+        f"/{own}/inbox": partial(convert.to_letter, receiver=core.robot),
+    }
     for topic, time, message in messages(path):
-        if topic in poses:
-            core.receive(convert.to_pose(message, poses[topic]), time)
-        elif topic == f"/{own}/scan":
-            core.receive(convert.to_scan(message), time)
-        elif topic == f"/{own}/inbox":
-            core.receive(convert.to_letter(message, core.robot), time)
+        if topic in take:
+            with suppress(ValueError):  # the robot dropped it too
+                core.receive(take[topic](message), time)
         elif topic == f"/{own}/cmd_vel":
             stamped = hasattr(message, "header")
             core.advance(convert.to_seconds(message.header.stamp) if stamped else time)

@@ -17,7 +17,7 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt8MultiArray
 
-from marl_explore.robot import Envelope, Pose, Scan
+from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run, time_of
@@ -58,7 +58,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         self._send_velocity(ZERO, time_of(self))
 
     def _take_scan(self, message: Any) -> None:
-        self._take(convert.to_scan(message))
+        self._take_measured(convert.to_scan(message))
 
     def _take_pose(self, robot: int, message: Any) -> None:
         if message.header.frame_id != self.given.frame:
@@ -68,16 +68,24 @@ class RobotNode(ParameterNode[RobotParameters]):
                 throttle_duration_sec=5.0,
             )
             return
-        self._take(convert.to_pose(message, robot))
+        self._take_measured(convert.to_pose(message, robot))
+
+    def _take_measured(self, event: Scan | Pose) -> None:
+        now = time_of(self)
+        if not now:  # simulated time has not begun: it is not known how old this is
+            return
+        try:
+            self.core.receive(event, now)
+        except ValueError as error:
+            self.get_logger().error(
+                f"dropped a {type(event).__name__.lower()}: {error}", throttle_duration_sec=5.0
+            )
 
     def _take_letter(self, message: Any) -> None:
         try:
-            self._take(convert.to_letter(message, self.given.robot))
+            self.core.receive(convert.to_letter(message, self.given.robot), time_of(self))
         except ValueError as error:
             self.get_logger().error(f"dropped a letter: {error}")
-
-    def _take(self, event: Scan | Pose | Envelope) -> None:
-        self.core.receive(event, time_of(self))
 
     def _advance(self) -> None:
         now = time_of(self)

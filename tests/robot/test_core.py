@@ -92,6 +92,71 @@ def test_a_pose_that_was_overtaken_is_dropped():
     assert core.sensors.pose.x == 0.7
 
 
+def stamped(core, pose, stamp):
+    """That pose and the robot's scan, both with another stamp."""
+    return replace(pose, stamp=stamp), replace(core.sensors.scan, stamp=stamp)
+
+
+def test_what_is_stamped_in_the_future_is_refused_and_overtakes_nothing():
+    core, pose = driving_robot()
+    for event in stamped(core, pose, 99.0):
+        with pytest.raises(ValueError, match=r"stamp=99.0 is not allowed: .* 1.2 s"):
+            core.receive(event, 1.2)
+    for event in stamped(core, pose, 1.3):
+        core.receive(event, 1.2)  # clocks of two computers differ a little
+    assert core.advance(1.7).velocity.forward > 0
+    assert core.advance(2.0).velocity == ZERO
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["stamp", "x", "y", "yaw"])
+def test_a_pose_that_is_not_finite_is_refused_and_changes_nothing(name, value):
+    core, pose = driving_robot()
+    before = core.advance(1.1)
+    with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*finite"):
+        core.receive(replace(pose, **{"stamp": 1.1, name: value}), 1.1)
+    assert core.advance(1.1).velocity == before.velocity != ZERO
+
+
+@pytest.mark.parametrize("name", ["stamp", "angle_min", "angle_increment", "range_max"])
+def test_a_scan_that_is_not_finite_is_refused_and_changes_nothing(name):
+    core, _ = driving_robot()
+    before = core.sensors.scan
+    with pytest.raises(ValueError, match=f"{name}=nan is not allowed: .*finite"):
+        core.receive(replace(before, **{"stamp": 1.1, name: math.nan}), 1.1)
+    assert core.sensors.scan is before
+
+
+@pytest.mark.parametrize("off", [0.0, math.nan])
+def test_a_lidar_that_is_off_stops_a_robot(off):
+    core, pose = driving_robot()
+    broken = replace(core.sensors.scan, stamp=2.1, ranges=np.full(360, off))
+    core.receive(replace(pose, stamp=2.1), 2.1)
+    with pytest.raises(ValueError, match=r"no range is above range_min=0.12"):
+        core.receive(broken, 2.1)
+    assert core.advance(2.1).velocity == ZERO
+
+
+def test_a_clock_that_is_set_back_stops_a_robot_until_new_data_come():
+    core, pose = driving_robot()
+    for event in stamped(core, pose, 40.0):
+        core.receive(event, 40.0)
+    assert core.advance(40.0).velocity.forward > 0
+    assert core.advance(20.0).velocity == ZERO
+    for event in stamped(core, pose, 20.1):
+        assert core.advance(20.1).velocity == ZERO
+        core.receive(event, 20.1)
+    assert core.advance(20.1).velocity.forward > 0
+
+
+def test_a_clock_that_is_set_back_stops_no_sensing():
+    world = world_of(OPEN, ["stay"] * 2)
+    world.now = 100.0
+    world.run(3)
+    world.now = 0.0
+    world.run(world.cores[0].tick + 2, most_steps=10)
+
+
 def test_a_scan_is_read_with_the_pose_of_its_time():
     obstacles, positions = arena("....\n.0..\n....")
     config = ArenaConfig(3, 4, 0.0, num_agents=1)
@@ -166,6 +231,32 @@ def test_lost_maps_cost_time_and_nothing_else():
     assert [core.knowledge.known for core in world.cores] == [12, 12]
 
 
+def both_know_all(world):
+    return [core.knowledge.known for core in world.cores] == [18, 18]
+
+
+def test_after_one_lost_intent_the_next_communication_merges():
+    """Robot 0 decides before robot 1 in every tick, so that an intent is always awaited."""
+    world = world_of(OPEN, ["talk " * 4] * 2)
+    world.lost = lambda e: isinstance(e.message, Intent) and (e.sender, e.message.tick) == (1, 0)
+    world.run(1)
+    assert not both_know_all(world)
+    world.run(2)
+    assert both_know_all(world)
+
+
+def test_who_was_not_heard_for_three_ticks_and_more_merges_when_it_is_back():
+    world = world_of(
+        OPEN, ["talk " * 99] * 2, make_clock=lambda: BarrierClock(range(2), patience=5)
+    )
+    world.lost = lambda envelope: envelope.sender == 1
+    world.run(3)
+    assert world.cores[0].knowledge.known == 9
+    world.lost = lambda envelope: False
+    world.run(world.cores[0].tick + 30)  # it stays, and so goes through 20 while robot 1 waits
+    assert both_know_all(world)
+
+
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_lost_messages_stop_nobody_and_nobody_touches(share):
     chance = np.random.default_rng(1)
@@ -216,6 +307,33 @@ def test_a_held_cell_is_waited_for_no_longer_than_a_lock_lasts():
     assert world.closest > 2 * RADIUS
 
 
+def gap_to(world, box, robot=0):
+    """From the rim of a robot to a box (metres)."""
+    (x, y), pose = world.frame.centre(box), world.poses[robot]
+    half = world.frame.cell_size / 2
+    return math.hypot(max(abs(pose.x - x) - half, 0), max(abs(pose.y - y) - half, 0)) - RADIUS
+
+
+@pytest.mark.parametrize("stuck_at", [-0.2, -0.05, 0.15])
+def test_a_move_that_is_given_up_goes_back_the_way_it_came(stuck_at):
+    """Robot 0 goes north-east by the east, and cannot go on when it is so far north (metres)."""
+    world = world_of("#..\n0..", ["NE"], settings=replace(PATIENT, move_expiry=20.0))
+    north, start = world.frame.centre((0, 1))[1], world.poses[0]
+    moved, gaps = world._moved, []
+
+    def held(pose, forward, turn):
+        after = moved(pose, forward, turn)
+        return moved(pose, 0.0, turn) if after.y > max(pose.y, north + stuck_at - 0.25) else after
+
+    world._moved = held
+    for _ in range(500):
+        world.step()
+        gaps.append(gap_to(world, (0, 0)))
+    assert max(abs(world.poses[0].x - start.x), abs(world.poses[0].y - start.y)) < 0.03
+    assert world.cores[0].tick > 0
+    assert min(gaps) > 0.1
+
+
 def test_a_robot_that_comes_late_joins():
     world = world_of(
         OPEN, ["S stay stay stay stay", "S"], make_clock=lambda: BarrierClock(range(2), patience=3)
@@ -225,6 +343,39 @@ def test_a_robot_that_comes_late_joins():
     world.dead.clear()
     world.run(80)  # meanwhile robot 0 stays, tick after tick
     assert cells(world) == [(2, 1), (2, 4)]
+
+
+def left_behind(phase):
+    """A team that is at tick 5, robot 0 still in a phase of tick 0, and what robot 0 sent since."""
+    world, sent = world_of(OPEN, ["talk"] * 2), []
+    world.dead.add(1)
+    core = world.cores[0]
+    if phase == "_sense":
+        core.advance(world.now)
+    else:
+        world.step()
+    if phase == "_exchange":
+        core.receive(Envelope(1, (0,), Intent(1, 0, (1, 4), TALK)), world.now)
+        core.advance(world.now)
+    assert (core.tick, core._phase.__name__) == (0, phase)
+    world.lost = lambda envelope: bool(sent.append(envelope.message))
+    core.receive(Envelope(1, (0,), Done(1, 5)), world.now)
+    return world, sent
+
+
+@pytest.mark.parametrize("phase", ["_sense", "_agree", "_exchange"])
+def test_who_was_left_behind_decides_in_the_tick_of_the_others(phase):
+    world, sent = left_behind(phase)
+    world.step()
+    assert [m.tick for m in sent if isinstance(m, Intent)] == [5]
+    assert world.cores[0]._phase.__name__ == "_agree"
+
+
+def test_ticks_shorter_than_the_patience_do_not_stop_a_robot_for_one_that_is_dead():
+    world = world_of(OPEN, ["S S", ""], make_clock=lambda: PeriodClock(2.0))
+    world.dead.add(1)
+    world.run(6)
+    assert cells(world)[0] == (2, 1)
 
 
 # ---------------------------------------------------------------- clocks, limits, the end
@@ -291,6 +442,13 @@ def test_settings_that_cannot_work_are_refused(config, robot, message):
         (
             Envelope(1, (0,), Share(1, 0, np.zeros((2, 3), np.int8))),
             r"\(2, 3\) is not allowed: .*\(4, 6\)",
+        ),
+        (Envelope(1, (0,), Done(0, 0)), "Done of robot 0 is not allowed: robot 1 sent it"),
+        (Envelope(1, (0,), Intent(0, 0, (1, 1), 0)), "Intent of robot 0 .* robot 1 sent it"),
+        (Envelope(1, (0,), Intent(1, 0, (1, 4), 10)), "action=10 is not allowed: 0 to 9"),
+        (
+            Envelope(1, (0,), Done(1, 2**32 - 1)),
+            "tick=4294967295 is not allowed: at most 10000 .* [01]$",
         ),
     ],
 )

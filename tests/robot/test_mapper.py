@@ -84,9 +84,29 @@ def test_outside_of_the_arena_nothing_is_seen():
     assert seen("0..\n.#.\n...") == ["???", "?..", "?.#"]
 
 
+def with_one_return(ranges, value):
+    """That value everywhere but for one beam, which tells that the lidar is on."""
+    return np.concatenate((np.full_like(ranges[1:], value), [3.0]))
+
+
 @pytest.mark.parametrize("nothing", [0.0, math.inf, math.nan, 3.5, 9.0])
 def test_no_return_means_nothing_there(nothing):
+    assert seen("...\n.0.\n...", change=lambda r: with_one_return(r, nothing)) == ["..."] * 3
+
+
+@pytest.mark.parametrize("nothing", [math.inf, 3.5, 9.0])
+def test_a_turn_beyond_the_range_means_nothing_there(nothing):
     assert seen("...\n.0.\n...", change=lambda r: np.full_like(r, nothing)) == ["..."] * 3
+
+
+@pytest.mark.parametrize("off", [0.0, math.nan, 0.12])
+def test_a_lidar_that_is_off_or_covered_sees_nothing(off):
+    def switched_off(ranges):
+        ranges[:] = off
+        ranges[::2] = 0.0
+        return ranges
+
+    assert seen(BOARD, change=switched_off) == ["???", "?..", "???"]  # a robot stands east
 
 
 @pytest.mark.parametrize("broken", [0.05, -1.0, -math.inf])

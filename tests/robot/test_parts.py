@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from marl_explore.robot.driving import ZERO, Drive
 from marl_explore.robot.geometry import Frame, wrapped
 from marl_explore.robot.knowledge import Knowledge, union
 from marl_explore.robot.mailbox import Mailbox
+from marl_explore.robot.mapper import BeamModel
 from marl_explore.robot.messages import Done, Intent, Share
 from marl_explore.robot.observation import in_range
 from tests.boards import map_cells
 from tests.strategies import repeatable
+
+GAINS = ("max_forward", "max_turn", "arrival", "heading_tolerance", "forward_gain", "turn_gain")
 
 # ---------------------------------------------------------------- geometry
 
@@ -80,6 +84,23 @@ def test_other_bytes_are_refused(data):
         decode(data)
 
 
+HEAD = struct.Struct("<BBIHH")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (Share(1, 5, np.zeros((3, 3), np.int8)).encode()[:-1], "3 x 3 cells has 13 bytes, not 12"),
+        (Share(1, 5, np.zeros((3, 3), np.int8)).encode() + b"\0", "has 13 bytes, not 14"),
+        (HEAD.pack(2, 1, 5, 65535, 65535), "65535 x 65535 cells has 1073709067 bytes, not 10"),
+        (HEAD.pack(2, 1, 5, 1, 1) + b"\xff", "cells are unknown, free or occupied"),
+    ],
+)
+def test_broken_maps_are_refused_before_they_are_unpacked(data, message):
+    with pytest.raises(ValueError, match=f"broken message Share: .*{message}"):
+        decode(data)
+
+
 def test_a_map_is_passed_on_once_and_counted():
     mail = Mailbox(0)
     share = Share(2, 4, np.zeros((12, 12), np.int8))
@@ -134,6 +155,32 @@ def test_a_robot_ahead_is_waited_for_and_one_behind_is_not():
     ahead, behind, far = (Pose(0, 1, x, 0, 0) for x in (0.3, -0.3, 0.4))
     assert drive.velocity(Pose(0, 0, 0, 0, 0), (1, 0), [ahead]).forward == 0
     assert drive.velocity(Pose(0, 0, 0, 0, 0), (1, 0), [behind, far]).forward == 0.2
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "allowed"),
+    [
+        *((Drive, name, value, "positive finite") for name in GAINS for value in (0.0, -1.0)),
+        *((Drive, name, math.nan, "positive finite") for name in GAINS),
+        (Drive, "clearance", -0.1, "at least 0"),
+        (Drive, "clearance", math.nan, "at least 0"),
+        (BeamModel, "votes", 0, "integer of at least 1"),
+        (BeamModel, "votes", 2.5, "integer of at least 1"),
+        (BeamModel, "entry_tolerance", 0.0, "positive finite"),
+        (BeamModel, "margin", -0.01, "at least 0"),
+        (BeamModel, "robot_radius", math.nan, "at least 0"),
+        (BeamModel, "lidar_ahead", math.nan, "a finite number of metres"),
+        (BeamModel, "lidar_ahead", math.inf, "a finite number of metres"),
+    ],
+)
+def test_settings_that_are_none_are_refused(kind, name, value, allowed):
+    with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*{allowed}"):
+        kind(**{name: value})
+
+
+def test_settings_at_their_bounds_are_taken():
+    assert Drive(clearance=0.0).clearance == 0
+    assert BeamModel(margin=0.0, robot_radius=0.0, votes=1, lidar_ahead=-0.064).votes == 1
 
 
 # ---------------------------------------------------------------- clocks

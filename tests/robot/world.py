@@ -40,7 +40,7 @@ def cast(obstacles, frame, x, y, angle, longest=RANGE):
 
 
 def scan_of(obstacles, frame, pose, others=(), stamp=None):
-    """A perfect scan of boxes and of other robots, which are discs."""
+    """A perfect scan of boxes and of other robots, which are discs; inf is no return."""
     angles = pose.yaw + 2 * math.pi / RAYS * np.arange(RAYS)
     ranges = np.array([cast(obstacles, frame, pose.x, pose.y, angle) for angle in angles])
     for other in others:
@@ -50,6 +50,7 @@ def scan_of(obstacles, frame, pose, others=(), stamp=None):
         hit = along - np.sqrt(np.maximum(inside, 0))
         seen = (inside > 0) & (hit > 0) & (hit < RANGE) & ((ranges == 0) | (hit < ranges))
         ranges = np.where(seen, hit, ranges)
+    ranges[ranges == 0] = math.inf
     return Scan(pose.stamp if stamp is None else stamp, ranges)
 
 

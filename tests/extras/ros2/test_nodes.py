@@ -11,6 +11,9 @@ import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt8MultiArray
 
@@ -20,7 +23,8 @@ from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Frame
 from marl_explore.robot.messages import Done, Intent
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LETTERS
+from marl_explore.ros2.node import LETTERS, ParameterNode, run
+from marl_explore.ros2.parameters import RobotParameters
 from tests.extras.ros2.team import Team, Watcher
 from tests.robot.policy_file import policy_file
 
@@ -128,6 +132,51 @@ def test_what_cannot_work_is_refused_in_a_line(workspace, program, words, said):
     assert done.returncode in (1, 2)
     assert said in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def test_a_pose_that_is_not_finite_is_dropped_and_ends_no_node(workspace, tmp_path):
+    log = tmp_path / "robot_0.log"
+    pose = Pose(1.0, 0, float("nan"), 0.0, 0.0)
+    broken = convert.fill(PoseStamped(), convert.pose_fields(pose, "arena"))
+    options = {"names": ["lab", "robot_0"], "robots": {"patience": 3.0}}
+    with running(workspace, policy_file(tmp_path), tmp_path, **options) as (_, watcher):
+        poses = watcher.create_publisher(PoseStamped, "/robot_0/pose", qos_profile_sensor_data)
+
+        def dropped():
+            poses.publish(broken)
+            return "dropped a pose: x=nan" in log.read_text()
+
+        watcher.until(dropped)
+        tick = watcher.ticks[0]
+        watcher.until(lambda: watcher.ticks[0] > tick + 1)
+
+
+def test_a_node_that_ends_by_an_error_is_stopped_first(monkeypatch):
+    monkeypatch.setattr("signal.signal", lambda number, handler: None)  # pytest keeps its own
+    stopped = []
+
+    def broken():
+        node = Node("broken")
+        node.create_timer(0.01, lambda: 1 / 0)
+        return node
+
+    with pytest.raises(ZeroDivisionError):
+        run(broken, None, lambda node: stopped.append(node.get_name()))
+    assert stopped == ["broken"]
+
+
+def test_parameters_are_read_only_once_a_node_runs():
+    rclpy.init(args=["--ros-args", "-p", "rate:=5.0"])
+    try:
+        node = ParameterNode("robot_node", RobotParameters())
+        for name, value in (("rate", 5.0), ("patience", 60.0), ("settings.max_pose_age", 0.5)):
+            (result,) = node.set_parameters([Parameter(name, value=value + 1)])
+            assert not result.successful
+            assert "read-only" in result.reason
+            assert node.get_parameter(name).value == value
+        assert node.given.rate == 5.0
+    finally:
+        rclpy.shutdown()
 
 
 def travelled(poses):
