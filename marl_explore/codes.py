@@ -13,6 +13,9 @@ NUM_DIRECTIONS = len(COMPASS)
 STAY, COMMUNICATE = 8, 9
 NUM_ACTIONS = 10
 
+FORBIDDEN_LOGIT = -1e4
+"""Logit of an action that is never chosen, in every precision."""
+
 NUM_FEATURES = 3
 """Numbers of the feature table per direction."""
 Normalization = Literal["relative", "proximity", "absolute"]

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from marl_explore.codes import FORBIDDEN_LOGIT
 from marl_explore.config import Ability
 from marl_explore.core.grid import COMMUNICATE
-from marl_explore.models.layers import NEVER
 
 
 class Ablated(nn.Module):
@@ -34,5 +34,7 @@ class Ablated(nn.Module):
         )
         logits = self.actor(*read)
         if "communication" in self.without:
-            logits = logits.index_fill(-1, torch.tensor(COMMUNICATE, device=logits.device), NEVER)
+            logits = logits.index_fill(
+                -1, torch.tensor(COMMUNICATE, device=logits.device), FORBIDDEN_LOGIT
+            )
         return logits

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from marl_explore.codes import FORBIDDEN_LOGIT
 from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
-from marl_explore.models.layers import ACTOR_GAIN, NEVER, initialize, mlp
+from marl_explore.models.layers import ACTOR_GAIN, initialize, mlp
 
 _TABLE_SIZE = NUM_DIRECTIONS * 3
 
@@ -70,5 +71,5 @@ class DeepSetActor(nn.Module):
         pooled = (codes.sum(-2) / number, codes.amax(-2))
         logits = self.layers(torch.cat((*parts, local.flatten(-3), *pooled), -1)).float()
         due = clock[..., 1 :: self.communicate_every].sum(-1)  # the hand is at one of these times
-        logits[..., COMMUNICATE] += NEVER * (1 - due)
+        logits[..., COMMUNICATE] += FORBIDDEN_LOGIT * (1 - due)
         return logits

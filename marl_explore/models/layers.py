@@ -9,9 +9,6 @@ from torch import nn
 
 ACTOR_GAIN, CRITIC_GAIN = 0.01, 1.0
 
-NEVER = -1e4
-"""Logit of an action that is never chosen, in every precision."""
-
 
 def mlp(
     inputs: int,

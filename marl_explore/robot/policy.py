@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from marl_explore.codes import (
     COMMUNICATE,
+    FORBIDDEN_LOGIT,
     NORMALIZATIONS,
     NUM_ACTIONS,
     NUM_DIRECTIONS,
@@ -27,7 +28,6 @@ FORMAT = "marl_explore.actors/1"
 Array = NDArray[np.float32]
 Weights = Mapping[str, Array]
 _EPSILON = 1e-5  # of torch's layer normalisation
-_NEVER = -1e4
 _ALLOWED = {"architecture": ("mlp", "cnn"), "fpr": NORMALIZATIONS}
 
 
@@ -120,7 +120,7 @@ class ExportedPolicy:
             inputs[name] = np.zeros_like(inputs[name])
         logits = self._logits(self._weights, **inputs)
         if "communication" in self._without:
-            logits[..., COMMUNICATE] = _NEVER
+            logits[..., COMMUNICATE] = FORBIDDEN_LOGIT
         return np.where(action_mask, logits, np.float32(-np.inf))
 
 
