@@ -36,6 +36,16 @@ def test_online_equals_offline_at_the_root_and_under_next():
         assert torch.equal(online[key], offline[key]), key
 
 
+def test_a_reset_of_no_arena_leaves_every_feature():
+    """Collectors ask for one when they go on from a checkpoint."""
+    env = make_env(ARENA, num_envs=2, architecture="deepset")
+    before = env.rollout(3)[:, -1]["next"]
+    nowhere = torch.zeros(2, 1, dtype=torch.bool)
+    after = env.reset(before.clone().set("_reset", nowhere), set_state=True)
+    for key in KEYS:
+        assert torch.equal(after[key], before[key]), key
+
+
 def test_specs_hold():
     env = make_env(ARENA, num_envs=2, architecture="deepset")
     td = env.rollout(15)

@@ -48,6 +48,8 @@ def flood(
     """
     front = front & fresh
     labels = front.clone()
+    if not front.numel():
+        return labels, torch.zeros_like(front, dtype=torch.int32)
     fresh = fresh & _closed(front)
     # how many levels each cell waited to be reached: a mask is -1 in byte arithmetic
     waited = torch.zeros_like(fresh).sub_(fresh)
