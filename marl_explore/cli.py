@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from marl_explore.config import ArenaConfig, require_integer
+from marl_explore.config import ANY_SIZE, ArenaConfig, require_integer
 from marl_explore.interrupts import RunInterruptedError
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ def named_arenas(words: Sequence[str]) -> str | None:
 
 
 def fitted(arena: ArenaConfig, arenas: str) -> ArenaConfig:
-    """The robots of ``arena`` in arenas of a suite's size; "uniform" takes any size."""
-    if arenas == "uniform":
+    """The robots of ``arena`` in arenas of a suite's size; others take any size."""
+    if arenas in ANY_SIZE:
         return arena
     from marl_explore.arenas import suite
 

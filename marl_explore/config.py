@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
+ANY_SIZE = ("uniform", "mixed")
+"""Kinds of arenas that take any size; suites have their own."""
 TOLERANCE = 1e-9
 """Slack of every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
 
@@ -177,7 +179,7 @@ class TrainConfig:
     arena: ArenaConfig = field(default_factory=ArenaConfig)
     """The arena, its robots and their sensors; size and density are those of a suite."""
     arenas: str = "uniform"
-    """Kind of arenas: a suite's name, or uniform for any size and density."""
+    """Kind of arenas: a suite's name; uniform or mixed for any size."""
     reward: str = "case2"
     """Reward: case1, case2, case2-literal or team."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"

@@ -17,10 +17,11 @@ from marl_explore.arenas.corridors import Corridors
 from marl_explore.arenas.generator import ArenaGenerator, Generator
 from marl_explore.arenas.maps import MapArenas, load_map
 from marl_explore.arenas.mazes import Mazes
+from marl_explore.arenas.mixed import Mixed
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.suites import Suite, list_suites, suite
 from marl_explore.arenas.uniform import Uniform
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ANY_SIZE, ArenaConfig
 from marl_explore.core.world import check_starts
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "Generator",
     "MapArenas",
     "Mazes",
+    "Mixed",
     "Rooms",
     "Suite",
     "Uniform",
@@ -81,19 +83,20 @@ def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
     """
     if callable(arenas):
         return Checked(arenas, config)
-    return Uniform(config) if arenas == "uniform" else suite(arenas).generator(config)
+    kinds = {"uniform": Uniform, "mixed": Mixed}
+    return kinds[arenas](config) if arenas in kinds else suite(arenas).generator(config)
 
 
 def default_config(arenas: str | Generator) -> ArenaConfig:
     """The configuration that arenas bring with them: a suite's, a generator's, or the paper's."""
     if isinstance(arenas, ArenaGenerator):
         return arenas.config
-    return ArenaConfig() if callable(arenas) or arenas == "uniform" else suite(arenas).config
+    return ArenaConfig() if callable(arenas) or arenas in ANY_SIZE else suite(arenas).config
 
 
 def default_steps(arenas: str | Generator) -> int:
     """Length of an evaluation on arenas: a suite's own, or the paper's 300 steps."""
-    return 300 if callable(arenas) or arenas == "uniform" else suite(arenas).steps
+    return 300 if callable(arenas) or arenas in ANY_SIZE else suite(arenas).steps
 
 
 def full_name(arenas: str) -> str:
@@ -102,4 +105,4 @@ def full_name(arenas: str) -> str:
     Raises:
         ValueError: naming the known suites, for an unknown name.
     """
-    return arenas if arenas == "uniform" else suite(arenas).id
+    return arenas if arenas in ANY_SIZE else suite(arenas).id

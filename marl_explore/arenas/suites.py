@@ -16,7 +16,7 @@ from marl_explore.arenas.generator import Generator
 from marl_explore.arenas.mazes import Mazes
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.uniform import Uniform
-from marl_explore.config import ArenaConfig
+from marl_explore.config import ANY_SIZE, ArenaConfig
 from marl_explore.core.hashing import stream_seed
 
 _ARENA_FIELDS = ("height", "width", "obstacle_density")
@@ -134,8 +134,8 @@ SUITES = (
 
 
 def list_suites() -> list[str]:
-    """Names for ``ExplorationEnv(arenas=...)``; "uniform" takes any size and density."""
-    return ["uniform", *(entry.id for entry in SUITES)]
+    """Names for ``ExplorationEnv(arenas=...)``; those of ``ANY_SIZE`` take any size."""
+    return [*ANY_SIZE, *(entry.id for entry in SUITES)]
 
 
 def suite(name: str) -> Suite:
@@ -148,6 +148,6 @@ def suite(name: str) -> Suite:
     if not found:
         known = [entry.id for entry in SUITES]
         raise ValueError(
-            f"arenas={name!r} is no suite: use one of {known}; uniform arenas have none"
+            f"arenas={name!r} is no suite: use one of {known}; {[*ANY_SIZE]} have none"
         )
     return max(found, key=lambda entry: entry.version)

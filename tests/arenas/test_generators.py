@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from marl_explore.arenas import Caves, Corridors, Mazes, Rooms, Uniform
+from marl_explore.arenas import Caves, Corridors, Mazes, Mixed, Rooms, Uniform
 from marl_explore.config import ArenaConfig
 from tests import reference
 from tests.arenas.drawing import cells, drawn
@@ -144,3 +144,33 @@ def test_more_robots_than_free_cells_are_refused():
 def test_unknown_rules_of_starts_are_refused():
     with pytest.raises(ValueError, match="starts='near' is unknown.*clustered"):
         Rooms(ArenaConfig(), starts="near")
+
+
+def test_mixed_arenas_are_of_every_kind_in_turn():
+    task = config(24)
+    obstacles, positions = drawn(Mixed(task), 12)
+    alone = (
+        Uniform(task),
+        Rooms(task, "clustered"),
+        None,
+        Mazes(task, "clustered"),
+        Corridors(task),
+        Caves(task, "clustered"),
+    )
+    for number, kind in enumerate(alone):
+        if kind is not None:
+            of_kind = (obstacles[number::6], positions[number::6])
+            for mixed, whole in zip(of_kind, drawn(kind, 12), strict=True):
+                assert torch.equal(mixed, whole[number::6])
+
+
+@pytest.mark.parametrize("size", [(24, 24), (13, 8)])
+def test_the_third_of_the_mixed_arenas_lies_in_a_corner(size):
+    obstacles, positions = drawn(Mixed(config(*size)), 20)
+    height, width = (-(-side // 2) for side in size)
+    corner = ArenaConfig(height=height, width=width)
+    for arena, robots in zip(obstacles[2::6], positions[2::6], strict=True):
+        assert arena[height:].all() and arena[:, width:].all()
+        assert arena[:height, :width].sum() == corner.num_obstacles
+        assert reference.connected(arena[:height, :width].tolist())
+        assert len(cells(robots)) == 4 and not any(arena[cell] for cell in cells(robots))

@@ -17,7 +17,7 @@ IDS = [entry.id for entry in SUITES]
 
 
 def test_the_names():
-    assert list_suites() == ["uniform", *IDS]
+    assert list_suites() == ["uniform", "mixed", *IDS]
     assert set(IDS) >= {
         "paper-12-v1",
         "open-24-v1",
