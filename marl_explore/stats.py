@@ -122,6 +122,38 @@ def probability_of_improvement(
     return _estimate(_superiority, _pair(x, y), resample, seed, resamples)
 
 
+def seed_mean(scores: ArrayLike) -> Estimate:
+    """The mean over training seeds with its bootstrap interval; NaN bounds for one seed.
+
+    Args:
+        scores: [S], of each seed the mean over its arenas: the interval answers for other seeds on
+            the same arenas.
+
+    Raises:
+        ValueError: for scores of another shape, without entries or not finite.
+    """
+    values = _seeds("scores", scores)
+    return _over_seeds(float(values.mean()), [values], lambda means: means)
+
+
+def seed_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
+    """Mean of ``a`` minus that of ``b`` with its bootstrap interval; NaN bounds for one seed.
+
+    Seeds of both are drawn independently of each other: under other settings the same seed is
+    another run, so nothing pairs them.
+
+    Args:
+        a: [S], of each seed the mean over its arenas.
+        b: [S'], on the same arenas.
+
+    Raises:
+        ValueError: as ``seed_mean``.
+    """
+    pair = [_seeds("the first scores", a), _seeds("the second scores", b)]
+    difference = float(pair[0].mean() - pair[1].mean())
+    return _over_seeds(difference, pair, lambda x, y: x - y)
+
+
 def curve_interval(curves: ArrayLike, seed: int = 0, resamples: int = RESAMPLES) -> Band:
     """The mean of curves [S, X] of S seeds with its bootstrap interval at every point.
 
@@ -172,6 +204,15 @@ def _estimate(
     return Estimate(statistic(*samples), float(low), float(high))
 
 
+def _over_seeds(value: float, samples: list[Array], combine: Callable[..., Array]) -> Estimate:
+    """A value, and the quantiles of what the means of draws of each sample [S] come to."""
+    if min(map(len, samples)) < 2:  # one seed says nothing of others
+        return Estimate(value, np.nan, np.nan)
+    generator = np.random.default_rng(0)
+    means = (generator.choice(s, (RESAMPLES, len(s))).mean(1) for s in samples)
+    return Estimate(value, *map(float, np.quantile(combine(*means), _TAILS)))
+
+
 def _superiority(x: Array, y: Array) -> float:
     larger = x[:, None] > y
     return float(larger.mean() + (x[:, None] == y).mean() / 2)
@@ -185,6 +226,13 @@ def _pair(a: ArrayLike, b: ArrayLike) -> list[Array]:
             "column j of both must be the same arena"
         )
     return [first, second]
+
+
+def _seeds(name: str, values: ArrayLike) -> Array:
+    rows = _matrix(name, values)
+    if len(rows) != 1:
+        raise ValueError(f"{name} of shape {rows.shape} are not allowed: they must be [S]")
+    return rows[0]
 
 
 def _matrix(name: str, values: ArrayLike) -> Array:

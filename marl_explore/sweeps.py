@@ -79,6 +79,24 @@ def is_sweep(folder: str | Path) -> bool:
     return (Path(folder) / RECORD_FILE).is_file()
 
 
+def seed_runs(path_or_name: str | Path) -> list[str]:
+    """The run folders of a finished sweep, one per seed; of anything else what was given.
+
+    Raises:
+        ValueError: naming the seeds of a sweep that are not finished.
+    """
+    if not is_sweep(path_or_name):
+        return [str(path_or_name)]
+    folder = Path(path_or_name)
+    seeds = json.loads((folder / RECORD_FILE).read_text())["seeds"]
+    waiting = _unfinished(folder, seeds)
+    if waiting:
+        raise ValueError(
+            f"seeds {waiting} of the sweep in {folder} are not finished: {_how(folder)}"
+        )
+    return [str(folder / _name(seed)) for seed in seeds]
+
+
 def resume_sweep(folder: str | Path) -> Summary:
     """Go on with every run of a sweep that is not finished; else as ``sweep``."""
     folder = Path(folder)
@@ -86,13 +104,12 @@ def resume_sweep(folder: str | Path) -> Summary:
     record["starts"].append(runs.provenance())
     runs.write_json(folder / RECORD_FILE, record)
     seeds = record["seeds"]
-    waiting = [seed for seed in seeds if not runs.is_finished(folder / _name(seed))]
+    waiting = _unfinished(folder, seeds)
     _, run = runs.read_settings(folder / _name(seeds[0]))
     failed = _run_all(folder, waiting, record["jobs"] or _jobs(run))
-    how = f"go on with: python recipes/train.py resume {folder}"
     if failed:
         logs = ", ".join(str(folder / f"{_name(seed)}.log") for seed in failed)
-        raise ChildProcessError(f"seeds {failed} failed, see {logs}; {how}")
+        raise ChildProcessError(f"seeds {failed} failed, see {logs}; {_how(folder)}")
     summary = summarize_seeds(folder, seeds)
     runs.write_json(folder / SUMMARY_FILE, summary)
     return summary
@@ -140,8 +157,7 @@ def _run_all(folder: Path, seeds: Sequence[int], jobs: int) -> list[int]:
             wait([process.sentinel for process in running.values()], timeout=0.2)
             if request.signal is not None:
                 _stop(running.values())
-                how = f"go on with: python recipes/train.py resume {folder}"
-                raise RunInterruptedError(request.signal, how)
+                raise RunInterruptedError(request.signal, _how(folder))
             for seed, process in [*running.items()]:
                 if process.exitcode is not None:
                     del running[seed]
@@ -179,6 +195,14 @@ def _run_one(folder: Path) -> None:
         except Exception:
             traceback.print_exc()
             sys.exit(1)
+
+
+def _unfinished(folder: Path, seeds: Sequence[int]) -> list[int]:
+    return [seed for seed in seeds if not runs.is_finished(folder / _name(seed))]
+
+
+def _how(folder: Path) -> str:
+    return f"go on with: python recipes/train.py resume {folder}"
 
 
 def _name(seed: int) -> str:

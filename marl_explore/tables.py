@@ -9,7 +9,24 @@ def number(value: float) -> str:
     """A number as a table shows it: 3 decimals below 2, else 1; "-" for NaN (nothing measured)."""
     if value != value:
         return "-"
-    return f"{value:.1f}" if abs(value) >= 2 else f"{value:.3f}"
+    return f"{value:.{_decimals(value)}f}"
+
+
+def estimate(value: float, low: float, high: float, sign: str = "") -> str:
+    """A number and its interval in brackets, which NaN bounds leave out; "-" for NaN.
+
+    Args:
+        value: shown with as many decimals as ``number`` gives the largest of the three.
+        low: lower bound.
+        high: upper bound.
+        sign: "+" shows that of positive numbers.
+    """
+    if value != value:
+        return "-"
+    if low != low:
+        return f"{value:{sign}.{_decimals(value)}f}"
+    form = f"{sign}.{_decimals(value, low, high)}f"
+    return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def text(header: Sequence[str], *blocks: Sequence[Sequence[str]]) -> str:
@@ -33,3 +50,7 @@ def markdown(header: Sequence[str], *blocks: Sequence[Sequence[str]]) -> str:
         lines += [[""] * len(header)] * (i > 0) + list(block)
     escaped = ([cell.replace("|", "\\|") for cell in line] for line in lines)
     return "\n".join(f"| {' | '.join(line)} |" for line in escaped)
+
+
+def _decimals(*values: float) -> int:
+    return 1 if max(map(abs, values)) >= 2 else 3

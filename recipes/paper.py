@@ -2,8 +2,8 @@
 
 python recipes/paper.py mlp-case1=runs/a,runs/b mlp-case2=runs/c cnn-case1=runs/d cnn-case2=runs/e
 
-Each of the four names takes runs of several training seeds. As in the paper: 200 random arenas, 300
-steps, sampled actions; every policy meets the same arenas.
+Each of the four names takes runs of several training seeds, or the folder of a sweep over seeds. As
+in the paper: 200 random arenas, 300 steps, sampled actions; every policy meets the same arenas.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Arguments:
     """Which runs, and where the results go."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """NAME=RUN,RUN,... for each of mlp-case1, mlp-case2, cnn-case1 and cnn-case2."""
+    """NAME=RUN,RUN,... or NAME=SWEEP for each of mlp-case1, mlp-case2, cnn-case1 and cnn-case2."""
     num_arenas: int = 200
     """Test arenas, the same for every policy."""
     seed: int = 0
@@ -181,14 +181,15 @@ def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """The runs of each of the four policies.
 
     Raises:
-        ValueError: when other policies than the four are named.
+        ValueError: when other policies than the four are named, or a sweep is not finished.
     """
     from marl_explore.leaderboard import parse_entries
+    from marl_explore.sweeps import seed_runs
 
     entries = {entry.name: entry.policies for entry in parse_entries(words)}
     if set(entries) != set(NAMES):
         raise ValueError(f"policies={sorted(entries)} is not allowed: name all of {NAMES}")
-    return {name: entries[name] for name in NAMES}
+    return {name: tuple(run for p in entries[name] for run in seed_runs(p)) for name in NAMES}
 
 
 def play(policy: str, arguments: Arguments) -> Episodes:

@@ -89,6 +89,21 @@ def test_communication_figure_draws_means_and_quantiles_of_the_episodes_with_any
     assert [text.get_text() for text in left.get_yticklabels()] == ["a", "silent"]
 
 
+def test_seeds_figure_draws_every_seed_their_mean_and_its_interval(drawn):
+    plots.seeds_figure({"two": [0.2, 0.4], "one": [0.5]}, "unused", "covered", scale=100)
+    axes = drawn[0].axes[0]
+    assert [x.get_xdata() for x in axes.lines] == [
+        pytest.approx([20, 40]),
+        pytest.approx([30]),
+        pytest.approx([50]),
+        pytest.approx([50]),
+    ]
+    (interval,) = axes.collections  # one seed has none
+    assert interval.get_segments()[0].tolist() == [pytest.approx([20, 0]), pytest.approx([40, 0])]
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["two", "one"]
+    assert axes.get_xlabel() == "covered"
+
+
 def test_enlargement_figure_draws_the_share_above_each_size(drawn):
     added = {"a": torch.tensor([0, 0, 1, 3]), "silent": torch.tensor([], dtype=torch.int64)}
     plots.enlargement_figure(added, 2, "unused")

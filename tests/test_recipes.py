@@ -162,6 +162,37 @@ def test_runs_are_held_against_the_paper_and_bundled(tmp_path):
     assert (tmp_path / "small.safetensors").is_file()
 
 
+def test_variants_are_held_against_a_baseline(tmp_path):
+    swept = recipe("train.py", "fast", *TINY, "--seeds", "0-1", "--out", "sweep", cwd=tmp_path)
+    assert swept.returncode == 0, swept.stderr
+    deaf = ["--communication-range", "0", "--out", "deaf"]
+    assert recipe("train.py", "fast", *TINY, *deaf, cwd=tmp_path).returncode == 0
+    entries = "base=sweep deaf=deaf random --num-arenas 2 --out compared".split()
+    done = recipe("variants.py", *entries, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "compared"
+    table = (folder / "variants.md").read_text()
+    assert table in done.stdout
+    base, other, walk = table.splitlines()[2:]
+    assert base.startswith("| base | baseline: height=6, ")
+    assert other.startswith("| deaf | communication_range=0.0 | 1 |")
+    assert walk.startswith("| random | planner random | - |")
+    assert (folder / "variants.png").read_bytes().startswith(b"\x89PNG")
+    content = json.loads((folder / "results.json").read_text())
+    assert "variants.py base=sweep" in content["command"]
+    assert list(content["results"]) == ["base", "deaf", "random"]
+    assert list(content["results"]["base"]["seeds"]) == [
+        str(Path("sweep", f"seed-{seed}")) for seed in (0, 1)
+    ]
+
+    record = tmp_path / "sweep" / "seed-1" / "run.json"
+    record.write_text(record.read_text().replace('"finished": true', '"finished": false'))
+    refused = recipe("variants.py", "base=sweep", "--out", "again", cwd=tmp_path)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("error: seeds [1] of the sweep in sweep are not finished")
+    assert not (tmp_path / "again").exists()
+
+
 def test_replay_shows_every_policy_and_how_it_was_made(tmp_path):
     small = (
         "--height 6 --width 8 --num-agents 2 --arena-index 3 --steps 20 --out new/a.html".split()
@@ -278,6 +309,7 @@ def test_map_files_become_a_buffer_with_features(tmp_path):
         "demo.py",
         "leaderboard.py",
         "paper.py",
+        "variants.py",
         "tune_planners.py",
         "minimal_happo.py",
         "pettingzoo_torchrl.py",
@@ -326,6 +358,11 @@ def test_help(name):
         (["train.py", "fast", "--jobs", "0"], "jobs=0"),
         (["train.py", "resume", "nowhere"], "nowhere is not a run folder"),
         (["paper.py", "mlp-case1=run"], "policies=['mlp-case1'] is not allowed"),
+        (["variants.py"], "name at least one training"),
+        (["variants.py", "random"], "'random' is a planner: the baseline must be a trained"),
+        (["variants.py", "a=best", "a=paper-cnn-case2"], "policies='a' comes twice"),
+        (["variants.py", "a=nowhere"], "no policy 'nowhere'"),
+        (["variants.py", "best", "--num-arenas", "0"], "num_arenas=0"),
         (["bundle.py", "run"], "policies='run' is not allowed: use NAME=RUN"),
         (["bundle.py", "name=nowhere"], "nowhere is not a run folder"),
         (["demo.py", "--num-arenas", "0"], "num_arenas=0"),

@@ -92,6 +92,40 @@ def test_intervals_repeat_and_depend_on_the_seed():
     assert stats.interval(X) != stats.interval(X, seed=1)
 
 
+def test_the_interval_over_two_seeds_is_between_them():
+    # a quarter of the draws is twice the same seed, at either end
+    assert stats.seed_mean([3, 1]) == (2, 1, 3)
+    # and a sixteenth of those of both is so for both
+    assert stats.seed_difference([3, 1], [10, 11]) == (-8.5, -10, -7)
+
+
+def test_the_interval_of_a_difference_is_that_of_independent_means():
+    generator = np.random.default_rng(2)
+    a, b = generator.normal(5, 3, 60), generator.normal(1, 8, 90)
+    estimate = stats.seed_difference(a, b)
+    half = 1.96 * math.sqrt(a.var() / 60 + b.var() / 90)
+    assert estimate.value == a.mean() - b.mean()
+    assert estimate.low == pytest.approx(estimate.value - half, abs=0.1)
+    assert estimate.high == pytest.approx(estimate.value + half, abs=0.1)
+    # the same seeds on both sides do not cancel
+    same = stats.seed_difference(a, a)
+    assert same.high - same.low > 3.9 * math.sqrt(2 * a.var() / 60) * 0.9
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        stats.seed_mean([4]),
+        stats.seed_difference([5], [1, 1]),
+        stats.seed_difference([5, 5], [1]),
+    ],
+)
+def test_one_seed_has_no_interval(estimate):
+    assert estimate.value == 4
+    assert math.isnan(estimate.low)
+    assert math.isnan(estimate.high)
+
+
 def test_intervals_of_curves_are_those_of_each_point():
     curves = np.stack((X[:, 0], X[:, 3], np.full(5, 7)), 1).astype(float)
     band = stats.curve_interval(curves, resamples=20_000)
@@ -117,6 +151,8 @@ def test_the_middle_half_lies_between_the_quartiles():
         (lambda: stats.interval([1, 2], resample="all"), "resample='all' .*crossed"),
         (lambda: stats.interval([1, 2], resample="stratified"), "at least 2 seeds"),
         (lambda: stats.paired_difference([1, 2], [1, 2, 3]), "of 2 and of 3 arenas"),
+        (lambda: stats.seed_mean([[1], [2]]), r"of shape \(2, 1\) are not allowed"),
+        (lambda: stats.seed_difference([1], [math.nan]), "the second scores"),
     ],
 )
 def test_scores_that_cannot_be_are_refused(call, message):

@@ -97,6 +97,20 @@ def test_wrong_settings_are_refused_before_a_folder_is_made(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_runs_of_a_sweep_are_known_once_all_are_finished(tmp_path):
+    folder = tmp_path / "sweep"
+    for seed, finished in ((0, True), (7, False), (9, False)):
+        (folder / f"seed-{seed}").mkdir(parents=True)
+        runs.write_json(folder / f"seed-{seed}" / "run.json", {"finished": finished})
+    assert sweeps.seed_runs(folder) == [str(folder)]  # as yet it is no sweep
+    runs.write_json(folder / "sweep.json", {"seeds": [0, 7, 9]})
+    with pytest.raises(ValueError, match=r"seeds \[7, 9\] of the sweep in .* are not finished"):
+        sweeps.seed_runs(folder)
+    runs.write_json(folder / "sweep.json", {"seeds": [0]})
+    assert sweeps.seed_runs(str(folder)) == [str(folder / "seed-0")]
+    assert sweeps.seed_runs("best") == ["best"]
+
+
 def test_what_could_not_be_measured_does_not_count(tmp_path):
     for seed, rows in enumerate(("1,nan\n2,0.5\n", "1,nan\n2,nan\n", "1,0.25\n2,0.25\n")):
         folder = tmp_path / f"seed-{seed}" / "scalars"

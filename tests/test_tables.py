@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from marl_explore import tables
@@ -17,6 +19,20 @@ def test_small_numbers_show_three_decimals_large_ones_one(value, shown):
 
 def test_nothing_measured_shows_a_dash():
     assert tables.number(float("nan")) == "-"
+
+
+@pytest.mark.parametrize(
+    ("values", "sign", "shown"),
+    [
+        ((0.5, 0.25, 1.0), "", "0.500 [0.250, 1.000]"),
+        ((0.5, -3.0, 4.0), "+", "+0.5 [-3.0, +4.0]"),  # all with the decimals of the largest
+        ((0.5, math.nan, math.nan), "", "0.500"),
+        ((-30.0, math.nan, math.nan), "+", "-30.0"),
+        ((math.nan, math.nan, math.nan), "+", "-"),
+    ],
+)
+def test_intervals_stand_in_brackets(values, sign, shown):
+    assert tables.estimate(*values, sign=sign) == shown
 
 
 def test_text_is_aligned_to_the_right():

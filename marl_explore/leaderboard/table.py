@@ -21,9 +21,7 @@ def _plain(measure: str) -> Callable[[Row], str]:
 def _interval(measure: str, sign: str = "") -> Callable[[Row], str]:
     def cell(row: Row) -> str:
         value, low, high = (row.measures[measure + end] for end in ("", "_low", "_high"))
-        if math.isnan(value):
-            return "-"
-        return f"{value:{sign}.1f} [{low:{sign}.1f}, {high:{sign}.1f}]"
+        return tables.estimate(value, low, high, sign)
 
     return cell
 

@@ -12,6 +12,7 @@ from marl_explore.plots.evaluation import (
     coverage_figure,
     enlargement_figure,
     lab_figure,
+    seeds_figure,
     tradeoff_figure,
 )
 from marl_explore.plots.training import training_figure
@@ -27,6 +28,7 @@ __all__ = [
     "episode_animation",
     "episode_figure",
     "lab_figure",
+    "seeds_figure",
     "tradeoff_figure",
     "training_figure",
 ]

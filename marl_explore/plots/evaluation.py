@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from marl_explore.plots.style import STYLE, draw_band, legend, line_styles, save
-from marl_explore.stats import Band, middle_half
+from marl_explore.stats import Band, middle_half, seed_mean
 
 MARKED_STEPS = (20, 50, 150)
 """Steps with a dot on the lines of ``tradeoff_figure``."""
@@ -98,6 +98,37 @@ def communication_figure(shares: Mapping[str, Mapping[str, Tensor]], path: str |
             axes.set_xlim(left=0)
             axes.set_yticks(range(len(shares)), list(shares))
             axes.grid(axis="x", alpha=0.25)
+        return save(figure, path)
+
+
+def seeds_figure(
+    scores: Mapping[str, Sequence[float]], path: str | Path, label: str, scale: float = 1
+) -> Path:
+    """One measure of trainings side by side: a dot per seed, their mean and its interval.
+
+    Args:
+        scores: per training the measure of every seed [S]; with one seed there is no interval.
+        path: image file to write.
+        label: of the horizontal axis.
+        scale: what scores are multiplied by.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7, 1 + 0.28 * len(scores)), layout="constrained")
+        axes = figure.subplots()
+        for row, (name, style) in enumerate(line_styles(scores)):
+            values = scale * np.asarray(scores[name])
+            color, mean = style["color"], seed_mean(values)
+            if np.isfinite(mean.low):
+                axes.hlines(row, mean.low, mean.high, color=color, linewidth=6, alpha=0.4)
+            axes.plot(values, [row] * len(values), "o", color=color, markersize=4, clip_on=False)
+            axes.plot(mean.value, row, "|", color=color, markersize=14, markeredgewidth=2)
+        axes.set(
+            xlabel=label,
+            ylim=(len(scores) - 0.4, -0.6),
+            title="a dot per seed; mean over seeds with its 95 % interval",
+        )
+        axes.set_yticks(range(len(scores)), list(scores))
+        axes.grid(axis="x", alpha=0.25)
         return save(figure, path)
 
 
