@@ -20,8 +20,8 @@ import torch
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS
 from marl_explore.execution import CollectorKind, RunConfig
+from marl_explore.presets import PRESETS
 from marl_explore.trainer import Trainer
 
 

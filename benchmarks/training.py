@@ -14,8 +14,9 @@ from itertools import pairwise
 import torch
 
 from benchmarks.timing import medians
-from marl_explore.config import PRESETS, TrainConfig
+from marl_explore.config import TrainConfig
 from marl_explore.models import OBSERVATION_KEYS
+from marl_explore.presets import PRESETS
 from marl_explore.trainer import Trainer
 
 Product = tuple[int, int, int]

@@ -12,7 +12,8 @@ from pathlib import Path
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS, require_integer
+from marl_explore.config import require_integer
+from marl_explore.presets import PRESETS
 
 MARK = "demo.txt"
 COMPARED = ("best", "random", "nearest", "nearest-timer", "utility-cost")

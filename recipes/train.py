@@ -22,8 +22,9 @@ from typing import Annotated, Any, Union
 import tyro
 
 from marl_explore import cli
-from marl_explore.config import PRESETS, TrainConfig, require_integer
+from marl_explore.config import TrainConfig, require_integer
 from marl_explore.execution import RunConfig, parse_seeds
+from marl_explore.presets import PRESETS
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from marl_explore.config import PRESETS, ArenaConfig, TrainConfig
+from marl_explore.config import ArenaConfig, TrainConfig
 
 
 def test_the_papers_arena_has_37_actor_inputs_and_148_critic_inputs():
@@ -62,20 +62,6 @@ def test_arenas_that_cannot_be_are_refused(settings, message):
 
 def test_an_infinite_communication_range_is_allowed():
     assert ArenaConfig(communication_range=math.inf).communication_cells == math.inf
-
-
-@pytest.mark.parametrize("name", [name for name in PRESETS if name.startswith("paper")])
-def test_paper_presets_have_the_papers_numbers(name):
-    preset = PRESETS[name]
-    _, architecture, reward = name.split("-")
-    assert (preset.architecture, preset.reward) == (architecture, reward)
-    assert preset.arena == ArenaConfig()
-    assert (preset.episodes, preset.episode_steps) == (5000, 200)
-    assert preset.num_envs * preset.rollout_steps == 8 * preset.episode_steps
-    assert preset.updates == 625
-    assert (preset.clip_epsilon, preset.ppo_epochs, preset.minibatches) == (0.2, 5, 1)
-    assert preset.actor_lr == preset.critic_lr == 5e-4
-    assert preset.hidden == (2400, 300)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from marl_explore import ArenaConfig
-from marl_explore.config import PRESETS, TrainConfig
+from marl_explore.config import TrainConfig
 from marl_explore.evaluation import evaluate, find_policy
+from marl_explore.presets import PRESETS
 from marl_explore.trainer import Trainer
 
 SMALL = TrainConfig(
