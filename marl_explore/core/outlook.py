@@ -19,6 +19,8 @@ from marl_explore.core.wavefront import nearest_distance
 
 MANY_FRONTIERS = 8
 """So many frontiers in a direction read as one half."""
+TERRITORY_SIZE = 5
+"""Numbers of a direction in ``territory_table``."""
 
 
 def unknown_around(grid: Tensor, radius: int) -> Tensor:
@@ -61,9 +63,11 @@ def territory_table(grid: Tensor, position: Tensor, reach: Tensor, radius: int) 
     """The frontiers to which no other robot in range is nearer, by the first move to them.
 
     Distances are those of FPR, on the robot's own map; a robot in range may stand in a cell that
-    the map does not know. Per direction: how many such frontiers there are, n / (n + 8); how near
-    the nearest is, 1 / moves; and the largest share of unknown cells in the square around one of
-    them, divided by the moves there.
+    the map does not know. A robot that is left with no such frontier looks at all of them. Per
+    direction: how many frontiers there are, n / (n + 8); how near the nearest is, 1 / moves; its
+    value, the largest share of unknown cells in the square around one of them, divided by the moves
+    there; nearness and value again, as shares of the best direction's, which tell directions apart
+    however far all frontiers are.
 
     Args:
         grid: maps of a team, int8 [*B, N, H, W].
@@ -72,28 +76,25 @@ def territory_table(grid: Tensor, position: Tensor, reach: Tensor, radius: int) 
         radius: of the square a robot sees (cells).
 
     Returns:
-        float32 [*B, N, 8, 3].
+        float32 [*B, N, 8, 5].
     """
     direction, length = paths(grid, position)
-    mine = frontier_mask(grid) & (length > 0)
-    mine &= length <= _others_distance(grid, position, reach)
-    bins = torch.where(mine, direction, NUM_DIRECTIONS).flatten(-2)
+    reachable = frontier_mask(grid) & (length > 0)
+    mine = reachable & (length <= _others_distance(grid, position, reach))
+    some = mine.flatten(-2).any(-1)[..., None, None]
+    bins = torch.where(torch.where(some, mine, reachable), direction, NUM_DIRECTIONS).flatten(-2)
     nearness = 1 / length.clamp_min(1).float()
-    share = unknown_around(grid, radius) / (2 * radius + 1) ** 2
+    value = unknown_around(grid, radius) / (2 * radius + 1) ** 2 * nearness
 
     def by_direction(values: Tensor, reduce: str) -> Tensor:
         empty = values.new_zeros(*bins.shape[:-1], NUM_DIRECTIONS + 1)
         return empty.scatter_reduce(-1, bins, values.flatten(-2), reduce)[..., :NUM_DIRECTIONS]
 
     number = by_direction(torch.ones_like(nearness), "sum")
-    return torch.stack(
-        (
-            number / (number + MANY_FRONTIERS),
-            by_direction(nearness, "amax"),
-            by_direction(share * nearness, "amax"),
-        ),
-        -1,
-    )
+    best = torch.stack((by_direction(nearness, "amax"), by_direction(value, "amax")), -1)
+    top = best.amax(-2, keepdim=True)
+    share = best / torch.where(top > 0, top, 1)
+    return torch.cat(((number / (number + MANY_FRONTIERS)).unsqueeze(-1), best, share), -1)
 
 
 def _others_distance(grid: Tensor, position: Tensor, reach: Tensor) -> Tensor:

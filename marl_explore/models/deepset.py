@@ -11,9 +11,10 @@ from torch import Tensor, nn
 from marl_explore.codes import FORBIDDEN_LOGIT
 from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
+from marl_explore.core.outlook import TERRITORY_SIZE
 from marl_explore.models.layers import ACTOR_GAIN, initialize, mlp
 
-_TABLE_SIZE = NUM_DIRECTIONS * 3
+_TABLE_SIZES = 3 + TERRITORY_SIZE + 1  # of a direction: FPR, territory, gain
 
 
 class DeepSetActor(nn.Module):
@@ -49,7 +50,7 @@ class DeepSetActor(nn.Module):
         self.communicate_every = communicate_every
         code = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.code = initialize(code, math.sqrt(2))
-        own = config.fov_size**2 + 2 * _TABLE_SIZE + NUM_DIRECTIONS + 1 + period
+        own = config.fov_size**2 + NUM_DIRECTIONS * _TABLE_SIZES + 1 + period
         inputs = own + 3 * (2 * view + 1) ** 2 + 2 * width
         self.layers = mlp(inputs, NUM_ACTIONS, hidden, norm_last, ACTOR_GAIN)
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
-from marl_explore.core.outlook import territory_table
+from marl_explore.core.outlook import TERRITORY_SIZE, territory_table
 from marl_explore.core.radio import in_range
 from marl_explore.transforms.base import FeatureTransform, MapFeature, require_range
 
@@ -19,7 +19,7 @@ NEAR_CELLS, FEW_CELLS, SHORT_STEPS = 8, 16, 8
 class FrontierTerritory(MapFeature):
     """The frontiers to which no other robot in range is nearer, by direction.
 
-    Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32 [*B, N, 8, 3]
+    Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32 [*B, N, 8, 5]
     (``core.outlook.territory_table``).
 
     Args:
@@ -45,13 +45,13 @@ class FrontierTerritory(MapFeature):
         self.range_cells, self.radius = range_cells, radius
 
     def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
-        """The table float32 [*B, N, 8, 3]."""
+        """The table float32 [*B, N, 8, 5]."""
         reach = in_range(position, self.range_cells)
         return territory_table(grid, position, reach, self.radius)
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
-        """Bounds 0 and 1, shape [*B, N, 8, 3]."""
-        shape = (*position.shape[:-1], NUM_DIRECTIONS, 3)
+        """Bounds 0 and 1, shape [*B, N, 8, 5]."""
+        shape = (*position.shape[:-1], NUM_DIRECTIONS, TERRITORY_SIZE)
         return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)
 
 

@@ -170,7 +170,9 @@ def test_the_third_of_the_mixed_arenas_lies_in_a_corner(size):
     height, width = (-(-side // 2) for side in size)
     corner = ArenaConfig(height=height, width=width)
     for arena, robots in zip(obstacles[2::6], positions[2::6], strict=True):
-        assert arena[height:].all() and arena[:, width:].all()
+        assert arena[height:].all()
+        assert arena[:, width:].all()
         assert arena[:height, :width].sum() == corner.num_obstacles
         assert reference.connected(arena[:height, :width].tolist())
-        assert len(cells(robots)) == 4 and not any(arena[cell] for cell in cells(robots))
+        assert len(cells(robots)) == 4
+        assert not any(arena[cell] for cell in cells(robots))

@@ -41,7 +41,7 @@ def slow_gains(map_, position, radius):
 
 
 def slow_territory(map_, positions, robot, near, radius):
-    """The table of one robot, [8][3]."""
+    """The table of one robot, [8][5]."""
     free, occupied = grids(map_)
     own = tuple(positions[robot])
     others = []
@@ -53,14 +53,25 @@ def slow_territory(map_, positions, robot, near, radius):
     moves = dict(
         zip((c for c in cells if c in reachable), reference.trajectories(map_, own), strict=True)
     )
-    table = [[0.0, 0.0, 0.0] for _ in range(8)]
-    for cell, (first, length) in moves.items():
-        if any(distance.get(cell, 999) < length for distance in others):
-            continue
+    mine = {
+        cell: (first, length)
+        for cell, (first, length) in moves.items()
+        if all(distance.get(cell, 999) >= length for distance in others)
+    }
+    number, nearness, value = [0] * 8, [0.0] * 8, [0.0] * 8
+    for cell, (first, length) in (mine or moves).items():
         share = unknown_in_square(map_, cell, radius) / (2 * radius + 1) ** 2
-        number, nearness, best = table[first]
-        table[first] = [number + 1, max(nearness, 1 / length), max(best, share / length)]
-    return [[n / (n + 8), nearness, best] for n, nearness, best in table]
+        number[first] += 1
+        nearness[first] = max(nearness[first], 1 / length)
+        value[first] = max(value[first], share / length)
+    columns = [
+        [n / (n + 8) for n in number],
+        nearness,
+        value,
+        [entry / (max(nearness) or 1) for entry in nearness],
+        [entry / (max(value) or 1) for entry in value],
+    ]
+    return [*zip(*columns, strict=True)]
 
 
 @repeatable(max_examples=40)
@@ -89,7 +100,7 @@ def test_unknown_cells_around_are_those_of_the_arena():
 
 
 def territory(board, *others, reach=True):
-    """Table [8, 3] of the robot ``@`` on a drawn map, beside robots at these cells."""
+    """Table [8, 5] of the robot ``@`` on a drawn map, beside robots at these cells."""
     grid, own = known_map(board)
     position = torch.stack((own, *map(torch.tensor, others)))
     near = torch.full((len(position), len(position)), reach) | torch.eye(len(position)).bool()
@@ -102,7 +113,7 @@ EAST, WEST = 2, 6
 
 def test_of_two_frontiers_the_other_robot_takes_the_nearer_one():
     alone = territory(CORRIDOR)
-    torch.testing.assert_close(alone[EAST], torch.tensor([1 / 9, 1 / 2, 1 / 9 / 2]))
+    torch.testing.assert_close(alone[EAST], torch.tensor([1 / 9, 1 / 2, 1 / 9 / 2, 1, 1]))
     torch.testing.assert_close(alone[WEST], alone[EAST])
     beside = territory(CORRIDOR, (0, 4))
     assert (beside[EAST] == 0).all()
@@ -120,9 +131,20 @@ def test_equally_near_robots_both_keep_a_frontier():
 
 
 def test_a_robot_where_the_map_knows_nothing_still_counts():
-    corridor = "@....??"
+    corridor = "?.@....??"
     assert territory(corridor)[EAST, 0] > 0
-    assert (territory(corridor, (0, 5))[EAST] == 0).all()
+    assert (territory(corridor, (0, 7))[EAST] == 0).all()
+
+
+def test_a_robot_that_is_left_with_no_frontier_looks_at_all():
+    corridor = "#@....??"
+    assert torch.equal(territory(corridor, (0, 4)), territory(corridor))
+
+
+def test_directions_are_told_apart_however_far_the_frontiers_are():
+    table = territory("?........................@.............................?")
+    torch.testing.assert_close(table[WEST, 3:], torch.ones(2))
+    torch.testing.assert_close(table[EAST, 3:], torch.full((2,), 24 / 29))
 
 
 def test_moves_that_are_known_to_be_blocked_gain_nothing():
