@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from marl_explore.export import Deployed, example_inputs, export_npz
+from marl_explore.policies import Policy
 from marl_explore.robot import ExportedPolicy, Observation
 from tests.test_policies import a_policy
 
@@ -42,16 +45,34 @@ def test_numpy_agrees_with_torch_on_1000_observations(tmp_path, architecture, op
 
 
 def test_a_normalised_last_layer(tmp_path):
-    from dataclasses import replace
-
-    from marl_explore.policies import Policy
-
     spec = replace(a_policy().spec, norm_last=True)
     policy = Policy(spec, spec.make_actors())
     path = export_npz(policy, tmp_path / "policy.npz")
     inputs = example_inputs(spec.arena, 100)
     ours = ExportedPolicy(path, 2).masked_logits(*(entry.numpy() for entry in inputs))
     np.testing.assert_allclose(ours, expected(policy, 2, inputs)[1], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("architecture", "layer", "stretched", "message"),
+    [
+        ("mlp", "layers.5", np.s_[:1], r"layers.5.weight of shape \(1,\) must have \(16,\)"),
+        ("cnn", "encoder.fov.2", np.s_[:, :1], "shape-mismatch"),
+    ],
+)
+def test_weights_that_numpy_would_stretch_are_refused(
+    tmp_path, architecture, layer, stretched, message
+):
+    spec = replace(a_policy(architecture).spec, norm_last=True)
+    path = export_npz(Policy(spec, spec.make_actors()), tmp_path / "policy.npz")
+    with np.load(path) as file:
+        arrays = dict(file)
+    weight, bias = (f"0.{layer}.{kind}" for kind in ("weight", "bias"))
+    arrays[weight] = arrays[weight][stretched]
+    arrays[bias] = arrays[bias][: len(arrays[weight])]
+    np.savez(path, **arrays)
+    with pytest.raises(ValueError, match=f"robot 0 does not fit its spec: {message}"):
+        ExportedPolicy(path, 0)
 
 
 def an_observation(mask):

@@ -170,7 +170,7 @@ def _mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
     names = _layers(weights, "layers")
     for name in names:
         if weights[f"{name}.weight"].ndim == 1:
-            values = _normalized(values) * weights[f"{name}.weight"] + weights[f"{name}.bias"]
+            values = _normalized(weights, name, values)
             continue
         values = _linear(weights, name, values)
         if name != names[-1]:
@@ -178,9 +178,13 @@ def _mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
     return values
 
 
-def _normalized(values: Array) -> Array:
+def _normalized(weights: Weights, name: str, values: Array) -> Array:
+    scale, shift = weights[f"{name}.weight"], weights[f"{name}.bias"]
+    if scale.shape != values.shape[-1:]:  # numpy would stretch a scale of length 1
+        raise ValueError(f"{name}.weight of shape {scale.shape} must have {values.shape[-1:]}")
     centred: Array = values - values.mean(-1, keepdims=True)
-    return centred / np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(_EPSILON))
+    spread = np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(_EPSILON))
+    return centred / spread * scale + shift
 
 
 def _cnn(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
@@ -203,5 +207,5 @@ def _convolved(image: Array, kernel: Array, bias: Array) -> Array:
     """3 x 3 kernels [O, I, 3, 3] over [*B, I, H, W], with a border of zeros: [*B, O, H, W]."""
     border = [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)]
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, border), (3, 3), (-2, -1))
-    summed: Array = np.einsum("...ihwyx,oiyx->...ohw", windows, kernel, optimize=True)
-    return summed + bias[:, None, None]
+    summed: Array = np.tensordot(windows, kernel, ((-5, -2, -1), (1, 2, 3))) + bias
+    return np.moveaxis(summed, -1, -3)
