@@ -61,12 +61,11 @@ class BarrierClock:
         self.patience = patience
         self._through = dict.fromkeys(robots, -1)
         self._missed: set[int] = set()
-        self._tick, self._since = 0, math.nan
+        self._tick, self._since = 0, math.inf
 
     def tick(self, now: float) -> int:
         """The tick at a time (seconds)."""
-        if math.isnan(self._since):
-            self._since = now
+        self._since = min(self._since, now)  # clocks can be set back
         waited_for = {robot for robot, tick in self._through.items() if tick < self._tick}
         if now - self._since > self.patience:
             self._missed |= waited_for

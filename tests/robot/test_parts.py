@@ -217,6 +217,13 @@ def test_a_barrier_gives_up_the_silent_and_takes_them_back():
     assert clock.tick(8) == 3  # waited for again
 
 
+def test_a_barrier_waits_no_longer_when_the_clock_is_set_back():
+    clock = BarrierClock(range(2), patience=5)
+    assert clock.tick(1000) == 0
+    clock.report(0, 0, 1001)
+    assert [clock.tick(now) for now in (20, 25, 25.1)] == [0, 0, 1]
+
+
 def test_who_comes_late_joins_the_others():
     clock = BarrierClock(range(3))
     clock.report(1, 40, 0)
