@@ -27,10 +27,9 @@ if __name__ == "__main__":
             (f"{SHARE}/config", files("config")),
         ],
         install_requires=["setuptools"],
-        extras_require={"test": ["pytest"]},
+        extras_require={"test": ["hypothesis", "pytest", "pyyaml"]},
         zip_safe=False,
         maintainer="The marl_explore authors",
-        maintainer_email="marl-explore@example.org",
         description="Teams of robots that explore, and their lab in simulation.",
         license="MIT",
         entry_points={

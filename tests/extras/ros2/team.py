@@ -99,7 +99,11 @@ class Watcher(Node):
         self.team = team
         self.ticks = dict.fromkeys(range(robots), -1)
         """Of the last ``Done`` of each robot."""
+        self.heard = dict.fromkeys(range(robots), -1)
+        """Latest tick of all that each robot said."""
         self.shares, self.maps, self.poses = [], {}, defaultdict(list)
+        self.has_news = False
+        """Whether a shared map knew what its receiver did not."""
         self.truth = self.contacts = None
         self.broken = 0
         """Letters that are none."""
@@ -122,10 +126,13 @@ class Watcher(Node):
         except ValueError:
             self.broken += 1
             return
+        sender = envelope.sender
+        self.heard[sender] = max(self.heard[sender], envelope.message.tick)
         if isinstance(envelope.message, Done):
-            self.ticks[envelope.sender] = envelope.message.tick
+            self.ticks[sender] = envelope.message.tick
         elif isinstance(envelope.message, Share):
             self.shares.append(envelope)
+            self.has_news |= receiver in self.maps and not self.merged(envelope)
 
     def _map(self, robot, message):
         self.maps[robot] = convert.to_grid(message)

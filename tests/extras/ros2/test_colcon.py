@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
+import tomllib
 import yaml
 
 from tests.extras.ros2.conftest import ROOT
@@ -48,8 +49,16 @@ def test_a_robot_needs_no_torch(workspace):
     assert torch == "False"
 
 
-def test_the_package_has_the_version_of_the_project(workspace):
-    version = ElementTree.parse(workspace.share / "package.xml").find("version").text
-    assert f'\nversion = "{version}"\n' in (ROOT / "pyproject.toml").read_text()
-    assert f'version="{version}"' in (workspace.package / "setup.py").read_text()
+def test_the_package_says_what_the_project_says(workspace):
+    package = ElementTree.parse(workspace.share / "package.xml")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    (author,) = project["authors"]
+    set_up = (workspace.package / "setup.py").read_text()
+    for tag, name, told in (
+        ("version", "version", project["version"]),
+        ("license", "license", project["license"]),
+        ("maintainer", "maintainer", author["name"]),
+    ):
+        assert package.find(tag).text == told
+        assert f'{name}="{told}"' in set_up
     assert yaml.safe_load((workspace.share / "config/lab.yaml").read_text())

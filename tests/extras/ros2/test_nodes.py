@@ -17,7 +17,6 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt8MultiArray
 
-from marl_explore import list_policies
 from marl_explore.robot import Envelope, Pose, Scan
 from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Frame
@@ -29,7 +28,8 @@ from tests.extras.ros2.team import Team, Watcher
 from tests.robot.policy_file import policy_file
 
 TICKS = 10
-BUNDLED = "paper-cnn-case2"
+BUNDLED = "paper-cnn-case1"
+"""Of the bundled policies of one size of team, one that communicates often."""
 FAST = {"speed": 20.0}
 """As fast as the robots answer."""
 
@@ -40,12 +40,12 @@ def policy(tmp_path):
     return policy_file(tmp_path, talkative=1.5)
 
 
-def bundled(name, folder):
-    """A bundled policy, exported."""
+@pytest.fixture
+def bundled(tmp_path):
     from marl_explore import load_policy
     from marl_explore.export import export_npz
 
-    return export_npz(load_policy(name), folder / "bundled.npz")
+    return export_npz(load_policy(BUNDLED), tmp_path / "bundled.npz")
 
 
 @contextmanager
@@ -59,21 +59,28 @@ def running(workspace, policy, folder, lab=None, robots=None, **options):
         rclpy.shutdown()
 
 
-@pytest.mark.parametrize("name", ["drawn", *({BUNDLED} & set(list_policies()))])
-def test_four_robots_explore_the_lab(workspace, policy, name, tmp_path):
-    """The bundled policy's robots may not come to communicate in so few ticks."""
-    if name == BUNDLED:
-        policy = bundled(name, tmp_path)
-    with running(workspace, policy, tmp_path) as (team, watcher):
-        watcher.until(
-            lambda: min(watcher.ticks.values()) >= TICKS and (watcher.shares or name == BUNDLED)
-        )
-        shared = list(watcher.shares)
-        watcher.until(lambda: all(watcher.merged(envelope) for envelope in shared))
-        watcher.until(lambda: watcher.truth is not None)
-        assert watcher.contacts == watcher.broken == watcher.wrong_cells() == 0
-        assert sum(int((grid >= 0).sum()) for grid in watcher.maps.values()) > 4 * 9
+def test_four_robots_explore_the_lab_by_a_bundled_policy(workspace, bundled, tmp_path):
+    with running(workspace, bundled, tmp_path) as (team, watcher):
+        watcher.until(lambda: min(watcher.ticks.values()) >= TICKS and watcher.has_news)
+        explored_and_merged(watcher)
     assert set(team.codes.values()) == {0}, team.said()
+
+
+def test_four_robots_explore_by_the_time_of_day(workspace, policy, tmp_path):
+    with running(workspace, policy, tmp_path, robots={"period": 8.0}) as (team, watcher):
+        watcher.until(lambda: min(watcher.heard.values()) >= 5 and watcher.has_news)
+        explored_and_merged(watcher)
+        assert set(watcher.ticks.values()) == {-1}  # nobody said Done
+    assert set(team.codes.values()) == {0}, team.said()
+
+
+def explored_and_merged(watcher):
+    """All maps shared so far are merged, none is wrong, and nobody has touched anything."""
+    shared = list(watcher.shares)
+    watcher.until(lambda: all(watcher.merged(envelope) for envelope in shared))
+    watcher.until(lambda: watcher.truth is not None)
+    assert watcher.contacts == watcher.broken == watcher.wrong_cells() == 0
+    assert sum(int((grid >= 0).sum()) for grid in watcher.maps.values()) > 4 * 9
 
 
 def test_a_robot_that_dies_stops_nobody_and_a_late_one_joins(workspace, policy, tmp_path):
