@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from benchmarks import curves, environment, frontier, scaling, training
+from benchmarks import curves, environment, frontier, locks, scaling, training
 from benchmarks.baselines import astar_table, bfs_table
 from marl_explore.config import TrainConfig
 from marl_explore.core.frontier import feature_table
+from marl_explore.robot.agreement import Way, agree
+from marl_explore.robot.messages import Intent
 
 
 def test_baselines_count_the_same_trajectories():
@@ -80,3 +82,14 @@ def test_the_model_of_scaling_finds_its_constants():
 def test_the_scaling_benchmark_runs():
     lines = scaling.main(scaling.Arguments(num_envs=8, workers=(), repeats=1))
     assert len(lines) == 2
+
+
+def test_without_locks_a_diagonal_is_driven_by_a_cell_that_is_held():
+    north_east = Intent(0, 0, (1, 1), 1, upright=True)
+    beside, contenders = (
+        Intent(1, 0, (0, 1), 8),
+        {2: Intent(2, 0, (5, 5), 2), 3: Intent(3, 0, (5, 7), 6)},
+    )
+    intents = {0: north_east, 1: beside, **contenders}
+    assert set(agree(intents).values()) == {Way(())}
+    assert locks.unlocked(intents) == agree(intents) | {0: Way(((0, 1), (0, 2)))}

@@ -34,7 +34,7 @@ def agree(intents: Mapping[int, Intent]) -> dict[int, Way]:
         intents: by robot; of those that are not heard, to stay where they are.
     """
     refused = {robot for robot, intent in intents.items() if intent.action >= STAY}
-    refused |= _contested(intents)
+    refused |= contested(intents)
     while True:
         ways = _Locks(intents, refused)
         if ways.stuck is None:
@@ -50,7 +50,7 @@ def target(intent: Intent) -> Cell:
     return intent.cell[0] + up, intent.cell[1] + side
 
 
-def _contested(intents: Mapping[int, Intent]) -> set[int]:
+def contested(intents: Mapping[int, Intent]) -> set[int]:
     """Robots whose move is refused: to a held cell, to a contended one, or across another way."""
     moves = {robot: intent for robot, intent in intents.items() if intent.action < STAY}
     starts = {intent.cell for intent in intents.values()}
