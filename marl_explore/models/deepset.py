@@ -21,7 +21,8 @@ class DeepSetActor(nn.Module):
     """Logits [*B, 10] of one robot of any team on any arena.
 
     Every other robot is encoded on its own, and the codes are pooled (mean and maximum over those
-    it has met or sees), after Zaheer et al., "Deep Sets", 2017.
+    it has met or sees), after Zaheer et al., "Deep Sets", 2017. What the tables say of a direction
+    is scored by one network for all eight: what it learns of one holds for the others.
 
     Args:
         config: the arena; of it only the field of view matters.
@@ -29,7 +30,8 @@ class DeepSetActor(nn.Module):
         norm_last: whether the last one is normalised too.
         view: r of ``LocalMap``.
         period: of ``Clock``.
-        width: of the code of another robot.
+        width: of the code of another robot, and of the layer that scores directions.
+        context: numbers that tell this layer of everything else.
         communicate_every: steps between the times at which it may communicate, by the clock that
             all robots share: when one does, the others may too. It divides the period.
     """
@@ -44,6 +46,7 @@ class DeepSetActor(nn.Module):
         view: int = 4,
         period: int = 6,
         width: int = 32,
+        context: int = 16,
         communicate_every: int = 1,
     ) -> None:
         super().__init__()
@@ -52,7 +55,9 @@ class DeepSetActor(nn.Module):
         self.code = initialize(code, math.sqrt(2))
         own = config.fov_size**2 + NUM_DIRECTIONS * _TABLE_SIZES + 1 + period
         inputs = own + 3 * (2 * view + 1) ** 2 + 2 * width
-        self.layers = mlp(inputs, NUM_ACTIONS, hidden, norm_last, ACTOR_GAIN)
+        self.layers = mlp(inputs, NUM_ACTIONS + context, hidden, norm_last, ACTOR_GAIN)
+        score = nn.Sequential(nn.Linear(_TABLE_SIZES + context, width), nn.ReLU())
+        self.score = initialize(score.append(nn.Linear(width, 1)), ACTOR_GAIN)
 
     def forward(
         self,
@@ -68,9 +73,17 @@ class DeepSetActor(nn.Module):
         other = (teammates != 0).any(-1, keepdim=True)  # all is 0 of the robot itself
         codes = self.code(teammates) * other
         number = other.sum(-2).clamp_min(1)
-        parts = (fov.flatten(-2), fpr.flatten(-2), gain, territory.flatten(-2), clock)
+        table = torch.cat((fpr, territory, gain.unsqueeze(-1)), -1)
+        parts = (fov.flatten(-2), table.flatten(-2), clock, local.flatten(-3))
         pooled = (codes.sum(-2) / number, codes.amax(-2))
-        logits = self.layers(torch.cat((*parts, local.flatten(-3), *pooled), -1)).float()
+        logits, context = self.layers(torch.cat((*parts, *pooled), -1)).tensor_split(
+            [NUM_ACTIONS], -1
+        )
+        context = context.unsqueeze(-2).expand(*table.shape[:-1], -1)
+        moves = self.score(torch.cat((table, context), -1)).squeeze(-1)
+        logits = logits.float() + nn.functional.pad(
+            moves.float(), (0, NUM_ACTIONS - NUM_DIRECTIONS)
+        )
         due = clock[..., 1 :: self.communicate_every].sum(-1)  # the hand is at one of these times
         logits[..., COMMUNICATE] += FORBIDDEN_LOGIT * (1 - due)
         return logits
