@@ -198,6 +198,8 @@ class TrainConfig:
     """What actors must do without: parts of the observation (they read 0), or to communicate."""
     communicate_every: int = 1
     """Steps between the times at which deepset actors may communicate, by a shared clock."""
+    communicate_after: int = 0
+    """Fewest steps since the last exchange with a robot in range before they may do it again."""
     critic_reads: CriticInput = "observation"
     """Whether the critic reads the joint observation (the paper) or the true state."""
     episodes: int = 5000
@@ -246,6 +248,7 @@ class TrainConfig:
         for name in ("episodes", "episode_steps", "num_envs", "rollout_steps", "ppo_epochs"):
             require_integer(name, getattr(self, name), 1)
         require_integer("seed", self.seed, 0)
+        require_integer("communicate_after", self.communicate_after, 0)
         _require(
             isinstance(self.minibatches, int) and 1 <= self.minibatches <= self.batch_frames,
             "minibatches",
@@ -270,6 +273,12 @@ class TrainConfig:
             "communicate_every",
             self.communicate_every,
             f"with {self.architecture} actors, use one of {periods}",
+        )
+        _require(
+            self.architecture == "deepset" or self.communicate_after == 0,
+            "communicate_after",
+            self.communicate_after,
+            f"{self.architecture} actors do not read when robots exchanged",
         )
         _require(
             self.architecture != "deepset" or self.critic_reads == "state",

@@ -45,6 +45,7 @@ class PolicySpec:
     without: tuple[Ability, ...] = ()
     shared: bool = False
     communicate_every: int = 1
+    communicate_after: int = 0
 
     def make_actors(self) -> list[nn.Module]:
         """A freshly initialised network per robot, or one that all share."""
@@ -56,6 +57,7 @@ class PolicySpec:
                 self.norm_last,
                 self.without,
                 self.communicate_every,
+                self.communicate_after,
             )
             for _ in range(1 if self.shared else self.arena.num_agents)
         ]

@@ -70,6 +70,7 @@ class Trainer:
             config.without,
             shared=config.algorithm == "mappo",
             communicate_every=config.communicate_every,
+            communicate_after=config.communicate_after,
         )
         self.policy = Policy(spec, spec.make_actors())
         if config.start_from is not None:

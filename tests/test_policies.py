@@ -10,6 +10,7 @@ from safetensors.torch import save_file
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import ArenaConfig, ExplorationEnv, list_policies, load_policy, make_env
+from marl_explore.core.radio import in_range
 from marl_explore.policies import FORMAT, Policy, PolicySpec, policy_info, save_policy
 from marl_explore.team import probabilistic_actor
 
@@ -149,6 +150,20 @@ def test_actors_communicate_when_the_clock_says_so(every, times):
     td = ExplorationEnv(num_envs=200).rollout(30, policy=policy)
     steps = td["step_count"].squeeze(-1)[td["agents", "action"].eq(9).any(-1)] % 6
     assert set(steps.tolist()) == set(times)
+
+
+@pytest.mark.parametrize("after", [1, 4, 7])
+def test_actors_communicate_some_time_after_the_last_exchange(after):
+    spec = PolicySpec(
+        ArenaConfig(), "deepset", (8,), "proximity", shared=True, communicate_after=after
+    )
+    policy = Policy(spec, spec.make_actors())
+    td = ExplorationEnv(num_envs=200).rollout(30, policy=policy)
+    reach = in_range(td["agents", "position"], ArenaConfig().communication_cells)
+    waited = torch.where(reach, td["agents", "steps_since_merge"], -1).amax(-1)
+    chosen = waited[td["agents", "action"] == 9]
+    assert chosen.min() == after
+    assert (waited < after).any()
 
 
 def test_the_order_of_the_other_robots_does_not_matter():

@@ -57,6 +57,7 @@ def make_actor(
     norm_last: bool = False,
     without: Sequence[Ability] = (),
     communicate_every: int = 1,
+    communicate_after: int = 0,
 ) -> nn.Module:
     """One robot's actor network; of ``hidden`` a CNN uses the last width."""
     actor: nn.Module
@@ -65,7 +66,13 @@ def make_actor(
     elif architecture == "cnn":
         actor = CNNActor(config, hidden[-1])
     else:
-        actor = DeepSetActor(config, hidden, norm_last, communicate_every=communicate_every)
+        actor = DeepSetActor(
+            config,
+            hidden,
+            norm_last,
+            communicate_every=communicate_every,
+            communicate_after=communicate_after,
+        )
     return Ablated(actor, without) if without else actor
 
 

@@ -13,6 +13,7 @@ from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
 from marl_explore.core.outlook import TERRITORY_SIZE
 from marl_explore.models.layers import ACTOR_GAIN, initialize, mlp
+from marl_explore.transforms.team import SHORT_STEPS
 
 _TABLE_SIZES = 3 + TERRITORY_SIZE + 1  # of a direction: FPR, territory, gain
 
@@ -34,6 +35,8 @@ class DeepSetActor(nn.Module):
         context: numbers that tell this layer of everything else.
         communicate_every: steps between the times at which it may communicate, by the clock that
             all robots share: when one does, the others may too. It divides the period.
+        communicate_after: fewest steps since the last exchange with one of the robots in range
+            before it may communicate; both robots of a pair count the same.
     """
 
     inputs = ("fov", "fpr", "gain", "territory", "teammates", "clock", "local")
@@ -48,9 +51,10 @@ class DeepSetActor(nn.Module):
         width: int = 32,
         context: int = 16,
         communicate_every: int = 1,
+        communicate_after: int = 0,
     ) -> None:
         super().__init__()
-        self.communicate_every = communicate_every
+        self.communicate_every, self.communicate_after = communicate_every, communicate_after
         code = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.code = initialize(code, math.sqrt(2))
         own = config.fov_size**2 + NUM_DIRECTIONS * _TABLE_SIZES + 1 + period
@@ -84,6 +88,14 @@ class DeepSetActor(nn.Module):
         logits = logits.float() + nn.functional.pad(
             moves.float(), (0, NUM_ACTIONS - NUM_DIRECTIONS)
         )
-        due = clock[..., 1 :: self.communicate_every].sum(-1)  # the hand is at one of these times
-        logits[..., COMMUNICATE] += FORBIDDEN_LOGIT * (1 - due)
+        logits[..., COMMUNICATE] += FORBIDDEN_LOGIT * (1 - self._may_communicate(teammates, clock))
         return logits
+
+    def _may_communicate(self, teammates: Tensor, clock: Tensor) -> Tensor:
+        """1 where it is time to, else 0, float32 [*B]."""
+        due = clock[..., 1 :: self.communicate_every].sum(-1)  # the hand is at one of these times
+        if not self.communicate_after:
+            return due
+        near, since = teammates[..., 0], teammates[..., -1]
+        steps = self.communicate_after - 0.5  # between two whole numbers: no rounding matters
+        return due * (near * (since > steps / (steps + SHORT_STEPS))).amax(-1)
