@@ -181,7 +181,7 @@ class TrainConfig:
     arenas: str = "uniform"
     """Kind of arenas: a suite's name; uniform or mixed for any size."""
     reward: str = "case2"
-    """Reward: case1, case2, case2-literal or team."""
+    """Reward: case1, case2, case2-literal, team or progress."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"
     """Normalisation of the frontier table."""
     algorithm: Algorithm = "happo"

@@ -21,10 +21,12 @@ _FAST = TrainConfig(
 )
 _BEST = replace(
     _FAST,
+    reward="progress",
     algorithm="mappo",
     architecture="deepset",
     hidden=(256, 128),
     communicate_every=3,
+    communicate_after=4,
     episodes=12500,
     num_envs=128,
     rollout_steps=25,

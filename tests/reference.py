@@ -348,6 +348,7 @@ def step(rules, state, actions) -> tuple[State, Step]:
             case2(rules, state, new, i, actions, dangerous, peers, True) for i in robots
         ],
         "team": [team(state, new, dangerous) for _ in robots],
+        "progress": [progress(state, new, dangerous) for _ in robots],
     }
 
     for i in robots:
@@ -390,6 +391,14 @@ def team(before, after, dangerous) -> float:
     growth = max(known_cells(m) for m in after.maps) - max(known_cells(m) for m in before.maps)
     done = any(complete(map_, targets) for map_ in after.maps)
     return growth / 40 - (0.0 if done else 0.1) - 0.25 * sum(dangerous) / len(dangerous)
+
+
+def progress(before, after, dangerous) -> float:
+    """As team, half of the growth being that of the robots' mean map (Rewards)."""
+    largest = max(map(known_cells, after.maps)) - max(map(known_cells, before.maps))
+    mean = sum(map(known_cells, after.maps)) - sum(map(known_cells, before.maps))
+    mean /= len(after.maps)
+    return team(before, after, dangerous) + (mean - largest) / 80
 
 
 # ---------------------------------------------------------------- FPR

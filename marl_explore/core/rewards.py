@@ -89,8 +89,26 @@ def _share_bonus(step: StepRecord) -> Tensor:
 
 def team(step: StepRecord) -> Tensor:
     """Growth of the largest map, less a price of time and of dangers; the same for every robot."""
+    return _less_prices(_growth(step), step)
+
+
+def progress(step: StepRecord) -> Tensor:
+    """As ``team``, but what counts is the mean of the largest map's and the mean map's growth.
+
+    Discoveries of every robot count at once, not only when they reach the largest map.
+    """
+    mean = step.gain.float().mean(-1, keepdim=True)
+    return _less_prices((_growth(step) + mean) / 2, step)
+
+
+def _growth(step: StepRecord) -> Tensor:
+    """Growth of the largest map, int64 [*B, 1] (cells)."""
     largest_before = (step.known - step.gain).amax(-1, keepdim=True)
-    growth = step.known.amax(-1, keepdim=True) - largest_before
+    return step.known.amax(-1, keepdim=True) - largest_before
+
+
+def _less_prices(growth: Tensor, step: StepRecord) -> Tensor:
+    """Growth [*B, 1] in units of reward, less a price of time and of dangers, float [*B, N]."""
     danger = step.dangerous.float().mean(-1, keepdim=True)
     unfinished = ~step.complete.unsqueeze(-1)
     return (growth / 40 - 0.1 * unfinished - 0.25 * danger).expand_as(step.dangerous)
@@ -101,6 +119,7 @@ REWARDS: dict[str, Reward] = {
     "case2": case2,
     "case2-literal": case2_literal,
     "team": team,
+    "progress": progress,
 }
 
 

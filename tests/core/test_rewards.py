@@ -12,6 +12,7 @@ from marl_explore.core.rewards import (
     case1,
     case2,
     case2_literal,
+    progress,
     resolve,
     team,
 )
@@ -149,6 +150,19 @@ def test_team_takes_nothing_for_time_once_a_map_is_complete():
 def test_team_takes_a_quarter_when_all_are_refused():
     step = record("N E N", dangerous=[True, True, True], missing=[0, 50, 50])
     assert_rewards(team, step, [-0.25] * 3)
+
+
+def test_progress_pays_half_for_the_mean_map():
+    # maps of 30 and 35 cells grow to 40 and 50: the largest by 15, the mean one by 12.5
+    step = record(
+        "talk E", known=[40, 50], discovered=[0, 15], received=[10, 0], dangerous=[False, True]
+    )
+    assert_rewards(progress, step, [(15 + 12.5) / 80 - 0.1 - 0.125] * 2)
+
+
+def test_progress_counts_what_has_not_reached_the_largest_map():
+    step = record("N E", known=[48, 20], discovered=[0, 8])
+    assert_rewards(progress, step, [4 / 80 - 0.1] * 2)
 
 
 # ---------------------------------------------------------------- from a board to the reward
