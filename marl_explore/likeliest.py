@@ -2,38 +2,63 @@
 
 from __future__ import annotations
 
+import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.envs import ExplorationType, set_exploration_type
 
+from marl_explore.core.grid import UNKNOWN
 from marl_explore.core.motion import give_way
 from marl_explore.policies import Policy
 from marl_explore.team import ACTION, ACTION_MASK
 
 REFUSED: NestedKey = ("agents", "dangerous")
+MAP: NestedKey = ("agents", "map")
+STEP: NestedKey = "step_count"
 
 
 class LikeliestActions(TensorDictModuleBase):
-    """A policy's likeliest actions, with the planners' yield rule.
+    """A policy's likeliest actions, and a way out where they would repeat for ever.
 
-    A refused move changes nothing that a policy without memory sees, so that it would choose it
-    again for ever: a robot whose last move was refused makes a random allowed move.
+    A refused move changes nothing that a policy without memory sees: a robot whose last move was
+    refused makes a random allowed move, as planners do. A robot whose map has not grown for some
+    steps may go in circles: it draws its action, until its map grows again.
 
     Args:
         policy: the team.
+        patience: steps without growth that are no circle yet.
     """
 
     out_keys: list[NestedKey] = [ACTION]  # noqa: RUF012
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy, patience: int = 12) -> None:
         super().__init__()
-        self.policy = policy
-        self.in_keys: list[NestedKey] = [*policy.in_keys, REFUSED]
+        self.policy, self.patience = policy, patience
+        self.in_keys: list[NestedKey] = [*dict.fromkeys((*policy.in_keys, REFUSED, MAP, STEP))]
         self.sees = policy.sees
+        self._known = self._since = torch.zeros(0, dtype=torch.int64)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N]."""
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            wanted = self.policy(tensordict).get(ACTION)
+        wanted = self._choose(tensordict, ExplorationType.DETERMINISTIC)
+        stalled = self._remember(tensordict) > self.patience
+        if stalled.any():
+            drawn = self._choose(tensordict, ExplorationType.RANDOM)
+            wanted = torch.where(stalled, drawn, wanted)
         action = give_way(wanted, tensordict.get(ACTION_MASK), tensordict.get(REFUSED))
         return tensordict.set(ACTION, action)
+
+    def _choose(self, tensordict: TensorDictBase, how: ExplorationType) -> Tensor:
+        with set_exploration_type(how):
+            return self.policy(tensordict).get(ACTION)
+
+    def _remember(self, tensordict: TensorDictBase) -> Tensor:
+        """Steps since each robot's map grew, int64 [*B, N]; an episode starts with none."""
+        known = (tensordict.get(MAP) != UNKNOWN).flatten(-2).sum(-1)
+        if self._known.shape != known.shape:
+            self._known = self._since = torch.zeros_like(known)
+        grown = (known > self._known) | (tensordict.get(STEP) == 0)
+        self._since = torch.where(grown, 0, self._since + 1)
+        self._known = known
+        return self._since

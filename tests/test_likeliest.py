@@ -67,6 +67,47 @@ def test_after_a_refusal_a_robot_gives_way():
     assert len(places) > 3
 
 
+class ToAndFro(nn.Module):
+    """An actor that prefers east where it sees the arena's border in the west, else west."""
+
+    inputs = ("fov", "fpr", "net")
+
+    def __init__(self):
+        super().__init__()
+        self.weight = nn.Parameter(torch.zeros(1))
+
+    def forward(self, fov, fpr, net):
+        logits = torch.zeros(*net.shape[:-1], 10)
+        west = fov[..., 1, 0] > 0
+        logits[..., ACTIONS.index("E")] = west.float()
+        logits[..., ACTIONS.index("W")] = (~west).float()
+        return logits
+
+
+def test_a_robot_that_goes_in_circles_draws_its_actions():
+    torch.manual_seed(0)
+    env, start, _ = two_robots(".....0\n......\n......\n......", "E")
+    policy = Policy(PolicySpec(env.config, "mlp", (8,), "relative"), [ToAndFro()])
+    for patience, rows in ((4, {0, 1, 2, 3}), (100, {0})):
+        likeliest, seen, td = LikeliestActions(policy, patience), set(), start.clone()
+        env.reset(start.clone(), set_state=True)
+        for _ in range(60):
+            td = env.step(likeliest(td))["next"]
+            seen.add(td["agents", "position"][0, 0, 0].item())
+        assert seen == rows
+
+
+def test_patience_begins_anew_with_every_episode():
+    torch.manual_seed(0)
+    env, start, policy = two_robots("0.....", "stay")
+    likeliest = LikeliestActions(policy, patience=5)
+    for _ in range(3):
+        td = env.reset(start.clone(), set_state=True)
+        for _ in range(6):
+            td = env.step(likeliest(td))["next"]
+            assert td["agents", "position"].tolist() == [[[0, 0]]]
+
+
 def test_likeliest_actions_of_a_saved_policy_by_name(tmp_path):
     policy = a_policy()
     path = save_policy(policy, tmp_path / "team.safetensors")
