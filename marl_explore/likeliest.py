@@ -23,7 +23,8 @@ class LikeliestActions(TensorDictModuleBase):
 
     A refused move changes nothing that a policy without memory sees: a robot whose last move was
     refused makes a random allowed move, as planners do. A robot whose map has not grown for some
-    steps may go in circles: it draws its action, until its map grows again.
+    steps may go in circles: it draws its action, until its map grows again. This takes one call per
+    step; what it remembers begins anew at step 0 of an episode.
 
     Args:
         policy: the team.

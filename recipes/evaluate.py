@@ -7,8 +7,8 @@ python recipes/evaluate.py nearest-timer random --arenas rooms-32
 python recipes/evaluate.py paper-cnn-case2 paper-cnn-case2:argmax
 
 Policies draw their actions; with :argmax they take the likeliest, a random allowed move after a
-refusal, and draw while their map has not grown for 12 steps. The arenas are those the first trained
-policy was trained for, changed by the flags.
+refusal, and draw when their map has not grown for more than 12 steps. The arenas are those the
+first trained policy was trained for, changed by the flags.
 """
 
 from __future__ import annotations

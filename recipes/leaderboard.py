@@ -68,7 +68,7 @@ def run(arguments: Arguments) -> None:
     import torch
 
     from marl_explore import leaderboard, runs
-    from marl_explore.arenas import list_suites, suite
+    from marl_explore.arenas.suites import SUITES, suite
     from marl_explore.planners import PLANNERS
 
     torch.set_num_threads(arguments.threads)
@@ -76,7 +76,7 @@ def run(arguments: Arguments) -> None:
     if not (arguments.out / "cells").is_dir():
         runs.require_new(arguments.out)
     entries = leaderboard.parse_entries(arguments.policies or (*PLANNERS, leaderboard.BOUND))
-    suites = [suite(name) for name in arguments.suites or list_suites()[1:]]
+    suites = [suite(name) for name in arguments.suites] or SUITES
 
     def cell(policy: str, place: Suite) -> Cell:
         num_arenas = next((n for side, n in ARENAS if place.config.num_cells <= side**2), 20)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 import torch
 
 from marl_explore import list_policies, load_policy, runs
 from marl_explore.bundled import bundle, recorded_replay, replay_score
-from marl_explore.config import ArenaConfig, TrainConfig
+from marl_explore.config import ArenaConfig, TrainConfig, from_json
 from marl_explore.execution import RunConfig
 from marl_explore.policies import policy_info
+from marl_explore.presets import PRESETS
 
 TINY = TrainConfig(
     ArenaConfig(height=6, width=6, num_agents=2),
@@ -22,6 +24,11 @@ TINY = TrainConfig(
     num_envs=2,
     rollout_steps=10,
 )
+
+
+def test_best_is_a_run_of_its_preset():
+    trained = TrainConfig(**from_json(policy_info("best")["config"]))
+    assert trained == replace(PRESETS["best"], seed=trained.seed)
 
 
 @pytest.fixture(scope="module")

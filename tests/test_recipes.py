@@ -13,6 +13,7 @@ import torch
 
 from marl_explore import ArenaConfig
 from marl_explore.arenas import load_map
+from marl_explore.arenas.suites import SUITES
 from marl_explore.planners import PLANNERS, Planner
 from marl_explore.policies import load_policy
 from marl_explore.robot import ExportedPolicy
@@ -234,6 +235,14 @@ def test_leaderboard_goes_on_where_it_was(tmp_path):
     assert refused.returncode == 1
     assert "seed was 0 and now is 5" in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+def test_a_leaderboard_without_further_words_is_of_all_suites(tmp_path):
+    few = ("--num-arenas", "1", "--steps", "2")
+    done = recipe("leaderboard.py", "random", *few, "--out", "board", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "board" / "table.json").read_text())["rows"]
+    assert {row["suite"] for row in rows} == {entry.id for entry in SUITES}
 
 
 def test_leaderboard_does_not_write_into_a_folder_of_other_things(tmp_path):

@@ -89,7 +89,7 @@ def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
 
 def default_config(arenas: str | Generator) -> ArenaConfig:
     """The configuration that arenas bring with them: a suite's, a generator's, or the paper's."""
-    if isinstance(arenas, ArenaGenerator):
+    if isinstance(arenas, (ArenaGenerator, Mixed)):
         return arenas.config
     return ArenaConfig() if callable(arenas) or arenas in ANY_SIZE else suite(arenas).config
 

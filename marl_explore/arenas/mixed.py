@@ -43,7 +43,8 @@ class Mixed:
     """Draws arenas of the suites' kinds in any size: arena i is of kind i modulo 6.
 
     In turn: uniform, rooms, uniform in a corner of half the height and width, mazes, corridors,
-    caves; robots start as in the suites.
+    caves; robots start as in the suites. A row of an environment keeps its kind: their number had
+    better be a multiple of 6.
 
     Args:
         config: size of the arenas, number of robots, and density of the uniform ones.

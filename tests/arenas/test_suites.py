@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from marl_explore import ArenaConfig, ExplorationEnv, make_env
-from marl_explore.arenas import Rooms, Uniform, list_suites, resolve, suite
+from marl_explore.arenas import Mixed, Rooms, Uniform, list_suites, resolve, suite
 from marl_explore.arenas.suites import SUITES
 from marl_explore.core.hashing import stream_seed
 from tests.arenas.drawing import drawn
@@ -54,6 +54,14 @@ def test_the_density_is_the_mean_share_of_obstacles(name):
 def test_paper_12_is_the_uniform_arena_of_the_paper():
     named, plain = (ExplorationEnv(arenas=name, num_envs=5) for name in ("paper-12", "uniform"))
     assert (named.reset() == plain.reset()).all()
+
+
+@pytest.mark.parametrize("kind", [Rooms, Mixed])
+def test_a_generator_brings_its_configuration(kind):
+    config = ArenaConfig(height=14, width=9, num_agents=2)
+    env = ExplorationEnv(arenas=kind(config), num_envs=6)
+    assert env.config == config
+    assert env.reset()["obstacles"].shape == (6, 14, 9)
 
 
 def test_a_name_without_version_is_the_newest(monkeypatch):
