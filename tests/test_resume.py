@@ -150,7 +150,15 @@ def test_a_signal_ends_the_run_after_the_update_with_a_checkpoint(tmp_path, undi
             runs.resume(folder, progress=False)
 
 
-def test_a_second_signal_does_not_wait():
+@pytest.fixture
+def interruptible():
+    """What SIGINT does in a shell's foreground; who is started in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_second_signal_does_not_wait(interruptible):
     with deferred() as request:
         os.kill(os.getpid(), signal.SIGINT)
         assert request.signal is signal.SIGINT
