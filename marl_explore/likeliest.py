@@ -8,7 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from marl_explore.core.grid import UNKNOWN
+from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
 from marl_explore.policies import Policy
 from marl_explore.team import ACTION, ACTION_MASK
@@ -40,23 +40,25 @@ class LikeliestActions(TensorDictModuleBase):
         self.sees = policy.sees
         self._known = self._since = torch.zeros(0, dtype=torch.int64)
 
+    @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N]."""
-        wanted = self._choose(tensordict, ExplorationType.DETERMINISTIC)
+        observed = self.policy.observe(tensordict)
+        wanted = self._choose(observed, ExplorationType.DETERMINISTIC)
         stalled = self._remember(tensordict) > self.patience
         if stalled.any():
-            drawn = self._choose(tensordict, ExplorationType.RANDOM)
+            drawn = self._choose(observed, ExplorationType.RANDOM)
             wanted = torch.where(stalled, drawn, wanted)
         action = give_way(wanted, tensordict.get(ACTION_MASK), tensordict.get(REFUSED))
         return tensordict.set(ACTION, action)
 
-    def _choose(self, tensordict: TensorDictBase, how: ExplorationType) -> Tensor:
+    def _choose(self, observed: TensorDictBase, how: ExplorationType) -> Tensor:
         with set_exploration_type(how):
-            return self.policy(tensordict).get(ACTION)
+            return self.policy.team(observed).get(ACTION)
 
     def _remember(self, tensordict: TensorDictBase) -> Tensor:
         """Steps since each robot's map grew, int64 [*B, N]; an episode starts with none."""
-        known = (tensordict.get(MAP) != UNKNOWN).flatten(-2).sum(-1)
+        known = known_cells(known_mask(tensordict.get(MAP)))
         if self._known.shape != known.shape:
             self._known = self._since = torch.zeros_like(known)
         grown = (known > self._known) | (tensordict.get(STEP) == 0)

@@ -131,11 +131,15 @@ class Policy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
+        acted = self.team(self.observe(tensordict))
+        return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
+
+    def observe(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """What the team decides by: the entries it reads, and its features."""
         observation = tensordict.select(*self.in_keys)
         fov = observation.get(FOV)
         self.check(robots=fov.shape[-3], fov_size=fov.shape[-1])
-        acted = self.team(self._features(observation))
-        return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
+        return self._features(observation)
 
     def check(self, robots: int, fov_size: int) -> None:
         """Refuse another team or sensor than the policy was trained for.

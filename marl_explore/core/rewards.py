@@ -108,7 +108,7 @@ def _growth(step: StepRecord) -> Tensor:
 
 
 def _less_prices(growth: Tensor, step: StepRecord) -> Tensor:
-    """Growth [*B, 1] in units of reward, less a price of time and of dangers, float [*B, N]."""
+    """Growth [*B, 1] (cells) as reward, less a price of time and of dangers, float [*B, N]."""
     danger = step.dangerous.float().mean(-1, keepdim=True)
     unfinished = ~step.complete.unsqueeze(-1)
     return (growth / 40 - 0.1 * unfinished - 0.25 * danger).expand_as(step.dangerous)
