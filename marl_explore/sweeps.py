@@ -79,12 +79,16 @@ def is_sweep(folder: str | Path) -> bool:
     return (Path(folder) / RECORD_FILE).is_file()
 
 
-def seed_runs(path_or_name: str | Path) -> list[str]:
-    """The run folders of a finished sweep, one per seed; of anything else what was given.
+def seed_runs(*paths_or_names: str | Path) -> list[str]:
+    """The run folders of finished sweeps, one per seed; anything else as it was given.
 
     Raises:
         ValueError: naming the seeds of a sweep that are not finished.
     """
+    return [run for path in paths_or_names for run in _seed_runs(path)]
+
+
+def _seed_runs(path_or_name: str | Path) -> list[str]:
     if not is_sweep(path_or_name):
         return [str(path_or_name)]
     folder = Path(path_or_name)

@@ -189,7 +189,7 @@ def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     entries = {entry.name: entry.policies for entry in parse_entries(words)}
     if set(entries) != set(NAMES):
         raise ValueError(f"policies={sorted(entries)} is not allowed: name all of {NAMES}")
-    return {name: tuple(run for p in entries[name] for run in seed_runs(p)) for name in NAMES}
+    return {name: tuple(seed_runs(*entries[name])) for name in NAMES}
 
 
 def play(policy: str, arguments: Arguments) -> Episodes:

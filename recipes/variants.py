@@ -56,9 +56,7 @@ def run(arguments: Arguments) -> None:
     how = runs.provenance() | {"settings": settings}
     runs.require_new(arguments.out)
     entries = parse_entries(arguments.entries)
-    found = variants.find_variants(
-        {e.name: [run for policy in e.policies for run in seed_runs(policy)] for e in entries}
-    )
+    found = variants.find_variants({e.name: seed_runs(*e.policies) for e in entries})
     rows = variants.compare(found, arguments.num_arenas, STEPS, arguments.seed)
     table = variants.format_markdown(rows)
     folder = runs.new_folder(arguments.out)

@@ -108,7 +108,7 @@ def test_the_runs_of_a_sweep_are_known_once_all_are_finished(tmp_path):
         sweeps.seed_runs(folder)
     runs.write_json(folder / "sweep.json", {"seeds": [0]})
     assert sweeps.seed_runs(str(folder)) == [str(folder / "seed-0")]
-    assert sweeps.seed_runs("best") == ["best"]
+    assert sweeps.seed_runs("best", folder) == ["best", str(folder / "seed-0")]
 
 
 def test_what_could_not_be_measured_does_not_count(tmp_path):

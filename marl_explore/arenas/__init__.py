@@ -88,9 +88,13 @@ def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
 
 
 def default_config(arenas: str | Generator) -> ArenaConfig:
-    """The configuration that arenas bring with them: a suite's, a generator's, or the paper's."""
-    if isinstance(arenas, (ArenaGenerator, Mixed)):
-        return arenas.config
+    """The configuration that arenas bring with them: a suite's, a generator's, or the paper's.
+
+    A generator has one when its attribute ``config`` is an ``ArenaConfig``.
+    """
+    own = getattr(arenas, "config", None)
+    if isinstance(own, ArenaConfig):
+        return own
     return ArenaConfig() if callable(arenas) or arenas in ANY_SIZE else suite(arenas).config
 
 
