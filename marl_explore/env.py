@@ -46,7 +46,8 @@ class ExplorationEnv(EnvBase):
         config: the arena, its robots and their sensors; None: those that ``arenas`` brings, or
             the paper's.
         num_envs: arenas B stepped at once; the batch size is [B].
-        reward: "case1", "case2", "case2-literal", "team", or a callable on the step record.
+        reward: "case1", "case2", "case2-literal", "team", "progress", or a callable on the step
+            record.
         max_steps: episode length after which an arena is truncated (steps).
         terminate_at_coverage: share of the target cells in (0, 1] that ends an episode once the
             largest map covers it; None: never.

@@ -211,7 +211,7 @@ def test_q_counts_only_since_the_last_merge():
 # ---------------------------------------------------------------- names
 
 
-@pytest.mark.parametrize("name", ["case1", "case2", "case2-literal", "team"])
+@pytest.mark.parametrize("name", ["case1", "case2", "case2-literal", "team", "progress"])
 def test_a_reward_has_a_name(name):
     assert resolve(name) is REWARDS[name]
 
