@@ -18,6 +18,9 @@ further modules, imported by their names:
   marl_explore.plots         figures and animations
   marl_explore.replay        episodes as one HTML page
   marl_explore.adapters      the task in other frameworks
+  marl_explore.export        policies for robots without torch
+  marl_explore.robot         what runs on a robot: numpy alone
+  marl_explore.lab           the simulated lab
 
 The source tree has docs/api.md, with an example for each, and programs to train, evaluate
 and compare in recipes/, each with --help: start with "make demo" or "python recipes/train.py fast".

@@ -7,7 +7,7 @@ python recipes/foreign_maps.py files office.yaml arena.map cave.txt
 The two transforms need maps and positions, under any names. Pursuit, an environment of PettingZoo,
 shows pursuers a square around them and has neither: a transform of this recipe makes them. Map
 files become a replay buffer of partly known maps. Pursuit needs the extra "pursuit"
-(``pip install "marl-explore[pursuit]"``).
+(``pip install ".[pursuit]"``).
 """
 
 from __future__ import annotations

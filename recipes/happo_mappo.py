@@ -106,7 +106,7 @@ def run(task: Task, package: str, extra: str) -> None:
     Raises:
         ValueError: saying how to install the package when it is missing.
     """
-    cli.require_package(package, f'pip install "marl-explore[{extra}]"')
+    cli.require_package(package, f'pip install ".[{extra}]"')
     compare(task.make_env, task.max_steps, task.train)
 
 

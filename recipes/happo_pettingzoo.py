@@ -3,7 +3,7 @@
 python recipes/happo_pettingzoo.py
 
 A speaker sees which landmark is the goal and says one of 3 words; a listener hears it, sees the
-landmarks and drives. Needs the extra "mpe": pip install "marl-explore[mpe]".
+landmarks and drives. Needs the extra "mpe": pip install ".[mpe]".
 """
 
 from __future__ import annotations

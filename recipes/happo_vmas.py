@@ -2,7 +2,7 @@
 
 python recipes/happo_vmas.py --scenario navigation
 
-Needs the extra "lab": pip install "marl-explore[lab]". VMAS is under the GPLv3.
+Needs the extra "lab": pip install ".[lab]". VMAS is under the GPLv3.
 """
 
 from __future__ import annotations

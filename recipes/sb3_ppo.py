@@ -4,7 +4,7 @@ python recipes/sb3_ppo.py
 
 Every robot of every arena is one environment to PPO, and all share one policy. It sees the action
 mask as a part of its observation: Stable-Baselines3 itself does not mask actions. It needs the
-extra "sb3" (``pip install "marl-explore[sb3]"``).
+extra "sb3" (``pip install ".[sb3]"``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Train a team with HAPPO, and go on with what was stopped.
+"""Train a team with HAPPO, MAPPO or IPPO, and go on with what was stopped.
 
 python recipes/train.py fast
 
