@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from benchmarks.timing import medians
 from marl_explore import ArenaConfig, make_env
@@ -58,6 +59,8 @@ def draw(curves: dict[str, dict[str, dict[int, float]]], path: str | Path) -> No
             axes.set(xscale="log", yscale="log", xlabel=name)
             axes.set_xticks(list(cost), list(map(str, cost)))
             axes.minorticks_off()
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_major_formatter("{x:g}")
             axes.grid(alpha=0.25)
         panels[0].set_ylabel("microseconds per observation")
         panels[0].legend()
