@@ -21,20 +21,23 @@ CURVES = ("episode_return", "final_coverage", "communication_share", "entropy")
 _POINTS = 50
 
 
-def replay_score(policy: Policy, num_arenas: int = REPLAY_ARENAS) -> dict[str, list[int]]:
-    """What a policy does on the first test arenas of its kind, to the cell and the step.
+def replay_score(
+    policy: Policy, num_arenas: int = REPLAY_ARENAS, arenas: str = "uniform"
+) -> dict[str, list[int]]:
+    """What a policy does on the first test arenas of a kind, to the cell and the step.
 
     Networks compute in float64, so that the order in which a processor adds up decides nothing.
 
     Args:
         policy: as ``load_policy`` gives it; it is changed to float64.
         num_arenas: B.
+        arenas: their kind, such as a suite's name.
 
     Returns:
         Per arena, steps until the largest map is complete, its known target cells at the end, and
         the cells sent by all robots.
     """
-    episodes = record(policy.double(), policy.spec.arena, num_arenas, STEPS)
+    episodes = record(policy.double(), policy.spec.arena, num_arenas, STEPS, arenas=arenas)
     known = episodes.maps.known_targets.amax(-1)
     return {
         "steps_to_100": metrics.steps_to(known, episodes.num_targets, 1.0).tolist(),
@@ -61,16 +64,16 @@ def run_info(run: str | Path) -> dict[str, Any]:
     }
 
 
-def score(policy: Policy) -> dict[str, float]:
-    """Every measure of a policy on 200 test arenas."""
-    return metrics.summarize(record(policy, policy.spec.arena, SCORE_ARENAS, STEPS))
+def score(policy: Policy, arenas: str = "uniform") -> dict[str, float]:
+    """Every measure of a policy on 200 test arenas of a kind."""
+    return metrics.summarize(record(policy, policy.spec.arena, SCORE_ARENAS, STEPS, arenas=arenas))
 
 
 def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     """Make the policy of a finished run one that comes with the package, weights in float16.
 
     Its file also holds the ``run_info``, and the ``score`` and the ``replay_score`` of the weights
-    as they are shipped.
+    as they are shipped, on arenas of the kind the run was trained on.
 
     Args:
         run: folder of a finished run.
@@ -83,7 +86,8 @@ def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     info = run_info(run)
     policy = load_policy(run)
     policy.half().float()  # what a reader of the file gets
-    info |= {"score": score(policy), "replay": replay_score(policy)}
+    arenas = info["config"]["arenas"]
+    info |= {"score": score(policy, arenas), "replay": replay_score(policy, arenas=arenas)}
     Path(folder).mkdir(parents=True, exist_ok=True)
     return save_policy(policy.half(), Path(folder) / f"{name}.safetensors", info)
 

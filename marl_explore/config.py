@@ -281,6 +281,12 @@ class TrainConfig:
             f"{self.architecture} actors do not read when robots exchanged",
         )
         _require(
+            self.architecture != "deepset" or "net" not in self.without,
+            "without",
+            self.without,
+            "deepset actors do not read net",
+        )
+        _require(
             self.architecture != "deepset" or self.critic_reads == "state",
             "critic_reads",
             self.critic_reads,

@@ -18,6 +18,7 @@ from marl_explore.arenas import Generator, default_steps
 from marl_explore.config import ArenaConfig, require_integer
 from marl_explore.core.mapping import known_mask, target_cells, union_of
 from marl_explore.env import ExplorationEnv
+from marl_explore.files import whole_file, write_text
 from marl_explore.likeliest import LikeliestActions
 from marl_explore.metrics import Episodes, Snapshot, snapshot, summarize
 from marl_explore.planners import PLANNERS
@@ -255,9 +256,9 @@ def write_results(
             name: {key: values.tolist() for key, values in of_policy.items()}
             for name, of_policy in scores.items()
         }
-    (folder / "results.json").write_text(json.dumps(content, indent=2, default=str) + "\n")
-    (folder / "table.txt").write_text(format_table(results) + "\n")
-    with (folder / "results.csv").open("w", newline="") as file:
+    write_text(folder / "results.json", json.dumps(content, indent=2, default=str) + "\n")
+    write_text(folder / "table.txt", format_table(results) + "\n")
+    with whole_file(folder / "results.csv") as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.writer(file)
         names = list(next(iter(results.values())))
         writer.writerow(["policy", *names])

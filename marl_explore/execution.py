@@ -84,9 +84,12 @@ def parse_seeds(text: str) -> list[int]:
     seeds: list[int] = []
     for part in text.split(","):
         bounds = part.split("-")
-        if len(bounds) > 2 or not all(bound.isdecimal() for bound in bounds):
+        span = range(0)
+        if len(bounds) <= 2 and all(bound.isdecimal() for bound in bounds):
+            span = range(int(bounds[0]), int(bounds[-1]) + 1)
+        if not span:
             raise ValueError(f"seeds={text!r} is not allowed: use a range 0-4 or a list 0,2,7")
-        seeds += range(int(bounds[0]), int(bounds[-1]) + 1)
-    if len(set(seeds)) < len(seeds) or not seeds:
+        seeds += span
+    if len(set(seeds)) < len(seeds):
         raise ValueError(f"seeds={text!r} is not allowed: every seed must come once")
     return seeds

@@ -29,7 +29,7 @@ def make_env(
     backend: Backend = "auto",
     architecture: Architecture = "mlp",
 ) -> TransformedEnv:
-    """An ``ExplorationEnv`` with both transforms: it also observes FPR and NET.
+    """An ``ExplorationEnv`` with transforms: it also observes what networks of a kind read.
 
     The state of an episode is in ``make_env(...).base_env.state_dict()``.
 

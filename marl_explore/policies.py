@@ -113,7 +113,15 @@ class Policy(TensorDictModuleBase):
             ValueError: when its networks are others, or it has fewer actors.
         """
         kind, theirs = (
-            (spec.architecture, spec.hidden, spec.norm_last, spec.without, spec.arena.fov_size)
+            (
+                spec.architecture,
+                spec.hidden,
+                spec.norm_last,
+                spec.without,
+                spec.arena.fov_size,
+                # deepset actors read any number of robots
+                None if spec.architecture == "deepset" else spec.arena.num_agents,
+            )
             for spec in (self.spec, other.spec)
         )
         enough = other.spec.shared or len(other.actors) >= len(self.actors)

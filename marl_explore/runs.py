@@ -24,7 +24,7 @@ from marl_explore.checkpoint import (
 )
 from marl_explore.config import TrainConfig, from_json
 from marl_explore.execution import RunConfig
-from marl_explore.files import whole_file
+from marl_explore.files import write_text
 from marl_explore.loggers import require_logger
 from marl_explore.policies import Policy, save_policy
 from marl_explore.trainer import Trainer
@@ -62,8 +62,7 @@ def require_new(path: str | Path) -> Path:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a file whole or not at all."""
-    with whole_file(path) as unfinished:
-        unfinished.write_text(json.dumps(content, indent=2, allow_nan=True) + "\n")
+    write_text(path, json.dumps(content, indent=2, allow_nan=True) + "\n")
 
 
 def provenance() -> dict[str, Any]:
@@ -106,15 +105,20 @@ def train(
     return _carry_out(trainer, Validation(config, run, folder), progress)
 
 
-def make_trainer(config: TrainConfig, run: RunConfig) -> Trainer:
+def make_trainer(config: TrainConfig, run: RunConfig, fresh: bool = True) -> Trainer:
     """The trainer of a run, once everything that it needs is there; sets torch's CPU threads.
+
+    Args:
+        config: the run.
+        run: how it is carried out.
+        fresh: as for ``Trainer``.
 
     Raises:
         ValueError: naming the setting that does not fit, or the package that is missing.
     """
     require_logger(run.logger)
     torch.set_num_threads(run.threads)
-    return Trainer(config, run)
+    return Trainer(config, run, fresh)
 
 
 def prepare(config: TrainConfig, folder: str | Path, run: RunConfig) -> Path:
@@ -151,8 +155,9 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
     config, run = read_settings(folder)
     if is_finished(folder):
         raise ValueError(f"the run in {folder} is finished: there is nothing to go on with")
-    trainer, validation = make_trainer(config, run), Validation(config, run, folder)
     path = _checkpoint_to_resume(folder, from_previous)
+    trainer = make_trainer(config, run, fresh=path is None)
+    validation = Validation(config, run, folder)
     if path is not None:
         state = _read(path)
         _require_same(state["config"], config, path)

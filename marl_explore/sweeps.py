@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from marl_explore import runs
-from marl_explore.config import TrainConfig
+from marl_explore import runs, tables
+from marl_explore.config import TrainConfig, require_integer
 from marl_explore.execution import RunConfig
 from marl_explore.interrupts import RunInterruptedError, deferred, detach
-from marl_explore.stats import curve_interval
+from marl_explore.stats import seed_mean
 
 RECORD_FILE, SUMMARY_FILE = "sweep.json", "summary.json"
 LAST_SHARE = 0.1
@@ -36,7 +36,7 @@ MAIN_METRICS = (
 )
 """What the printed table shows; the file holds every metric."""
 
-Summary = dict[str, dict[str, float]]
+Summary = dict[str, dict[str, float | None]]
 
 
 def sweep(
@@ -59,11 +59,16 @@ def sweep(
         ``summarize_seeds``; also written to ``summary.json``.
 
     Raises:
-        ValueError: before anything is written, when the folder is in use.
+        ValueError: before anything is written, when seeds are missing or come twice, ``jobs`` is
+            less than 1, a setting is wrong, or the folder is in use.
         RunInterruptedError: after a SIGINT or SIGTERM, once every run has kept a checkpoint.
         ChildProcessError: when a run failed; it names the seeds and their logs.
     """
     run = run or RunConfig()
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds={list(seeds)} is not allowed: at least one, and each once")
+    if jobs is not None:
+        require_integer("jobs", jobs, 1)
     runs.make_trainer(config, run)  # wrong settings end here, before a folder is made
     folder = runs.new_folder(folder)
     for seed in seeds:
@@ -120,9 +125,10 @@ def resume_sweep(folder: str | Path) -> Summary:
 
 
 def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
-    """Per metric the mean over seeds with its bootstrap interval (``stats.curve_interval``).
+    """Per metric the mean over seeds with its bootstrap interval (``stats.seed_mean``).
 
-    The value of a run is the mean over the last tenth of its updates that have the metric.
+    The value of a run is the mean over the last tenth of its updates that have the metric. Bounds
+    are None where only one seed has it.
     """
     values: dict[str, list[float]] = {}
     for seed in seeds:
@@ -134,19 +140,20 @@ def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
                 values.setdefault(file.stem, []).append(float(np.mean(last)))
     summary: Summary = {}
     for name, of_seeds in values.items():
-        mean, low, high = (float(band[0]) for band in curve_interval([[x] for x in of_seeds]))
+        mean, *bounds = seed_mean(of_seeds)
+        low, high = (None if math.isnan(bound) else bound for bound in bounds)
         summary[name] = {"mean": mean, "low": low, "high": high, "seeds": len(of_seeds)}
     return summary
 
 
-def format_summary(summary: Mapping[str, Mapping[str, float]]) -> str:
+def format_summary(summary: Mapping[str, Mapping[str, float | None]]) -> str:
     """A text table of the main metrics."""
-    lines = [f"{'over seeds':>24}  {'mean':>9}  {'low':>9}  {'high':>9}"]
+    rows = []
     for name in MAIN_METRICS:
         if name in summary:
-            row = "  ".join(f"{summary[name][key]:9.3f}" for key in ("mean", "low", "high"))
-            lines.append(f"{name:>24}  {row}")
-    return "\n".join(lines)
+            values = (summary[name][key] for key in ("mean", "low", "high"))
+            rows.append([name, *("-" if value is None else f"{value:.3f}" for value in values)])
+    return tables.text(["over seeds", "mean", "low", "high"], rows)
 
 
 def _run_all(folder: Path, seeds: Sequence[int], jobs: int) -> list[int]:
@@ -196,6 +203,7 @@ def _run_one(folder: Path) -> None:
             runs.resume(folder)
         except RunInterruptedError as interrupted:
             print(interrupted)
+            sys.exit(interrupted.status)
         except Exception:
             traceback.print_exc()
             sys.exit(1)

@@ -53,9 +53,13 @@ class Trainer:
     Args:
         config: the run.
         run: how it is carried out; of this only the collector matters here.
+        fresh: whether the actors start from those of ``config.start_from``; a run that goes on
+            gets all weights from its checkpoint and needs them no longer.
     """
 
-    def __init__(self, config: TrainConfig, run: RunConfig | None = None) -> None:
+    def __init__(
+        self, config: TrainConfig, run: RunConfig | None = None, fresh: bool = True
+    ) -> None:
         run = run or RunConfig()
         require_collector(run, config.num_envs)
         make_training_env(config, num_envs=1).reset()  # what is wrong shows here, not in a worker
@@ -73,7 +77,7 @@ class Trainer:
             communicate_after=config.communicate_after,
         )
         self.policy = Policy(spec, spec.make_actors())
-        if config.start_from is not None:
+        if fresh and config.start_from is not None:
             self.policy.start_from(load_policy(config.start_from))
         self.learners = make_learners(config, self.policy)
         if config.compile:

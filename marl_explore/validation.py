@@ -7,12 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from marl_explore.config import TrainConfig
-from marl_explore.evaluation import TABLE_COLUMNS, evaluate
+from marl_explore.evaluation import evaluate
 from marl_explore.execution import RunConfig
 from marl_explore.policies import Policy, save_policy
 
 STREAM = "validation"
 BEST_FILE = "best.safetensors"
+LOGGED = (
+    "steps_to_95",
+    "steps_to_100",
+    "complete",
+    "coverage_at_50",
+    "coverage_at_150",
+    "communication_share",
+    "useful_share",
+    "overlap",
+)
+"""Measures that are kept of every validation, beside the one that chooses the best policy."""
 
 
 @dataclass
@@ -61,5 +72,5 @@ class Validation:
             }
             info = {"config": asdict(self.config), "best": self.best}
             save_policy(policy, self.folder / BEST_FILE, info=info)
-        kept = {*TABLE_COLUMNS.values(), run.select_by} & set(measures)
+        kept = {*LOGGED, run.select_by} & set(measures)
         return {f"validation_{key}": value for key, value in measures.items() if key in kept}

@@ -37,7 +37,7 @@ from marl_explore import CommunicationNeighbors, FrontierReachability
 from marl_explore.arenas import load_map, suite
 from marl_explore.tables import text
 
-UNKNOWN, FREE, OCCUPIED = -1, 0, 1
+UNKNOWN, OCCUPIED = -1, 1
 DIRECTIONS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 RANGE_CELLS, SENSED_CELLS = 6.0, 5
 

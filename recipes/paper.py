@@ -146,7 +146,7 @@ def policies_table(seeds: Mapping[str, Mapping[str, Mapping[str, float]]]) -> st
     from marl_explore import tables
 
     rows = [
-        [name, run, *(tables.number(measures[key]) for key in MEASURES)]
+        [name, Path(run).name, *(tables.number(measures[key]) for key in MEASURES)]
         for name, runs in seeds.items()
         for run, measures in runs.items()
     ]
@@ -181,7 +181,8 @@ def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """The runs of each of the four policies.
 
     Raises:
-        ValueError: when other policies than the four are named, or a sweep is not finished.
+        ValueError: when other policies than the four are named, one is given twice for the same
+            name, or a sweep is not finished.
     """
     from marl_explore.leaderboard import parse_entries
     from marl_explore.sweeps import seed_runs
@@ -189,27 +190,35 @@ def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     entries = {entry.name: entry.policies for entry in parse_entries(words)}
     if set(entries) != set(NAMES):
         raise ValueError(f"policies={sorted(entries)} is not allowed: name all of {NAMES}")
-    return {name: tuple(seed_runs(*entries[name])) for name in NAMES}
+    seeds = {name: tuple(seed_runs(*entries[name])) for name in NAMES}
+    for name, policies in seeds.items():
+        if len(set(policies)) < len(policies):
+            raise ValueError(f"{name}={list(policies)} is not allowed: each may come once")
+    return seeds
 
 
 def play(policy: str, arguments: Arguments) -> Episodes:
     """The test episodes of one trained policy, on the arenas it was trained for."""
-    from marl_explore.evaluation import find_policy, record
-    from marl_explore.policies import load_policy
+    from marl_explore.evaluation import find_policy, record, trained_on
 
-    arena = load_policy(policy).spec.arena
+    known = trained_on(policy)
+    if known is None:
+        raise ValueError(f"policies={policy!r} is not allowed: it is no trained policy")
+    arena, arenas = known
     return record(
         find_policy(policy, arena),
         arena,
         num_arenas=arguments.num_arenas,
         steps=STEPS,
         seed=arguments.seed,
+        arenas=arenas,
     )
 
 
 def run(arguments: Arguments) -> None:
     """Evaluate all runs; write tables and figures."""
     from marl_explore import runs
+    from marl_explore.files import write_text
 
     entries = read_entries(arguments.policies)
     settings = asdict(arguments) | {"out": str(arguments.out)}
@@ -217,14 +226,13 @@ def run(arguments: Arguments) -> None:
     runs.require_new(arguments.out)
     episodes = {n: [play(policy, arguments) for policy in entries[n]] for n in NAMES}
     seeds = {
-        n: {Path(p).name: measured(e) for p, e in zip(entries[n], episodes[n], strict=True)}
-        for n in NAMES
+        n: {p: measured(e) for p, e in zip(entries[n], episodes[n], strict=True)} for n in NAMES
     }
     means = {n: {key: mean(m[key] for m in seeds[n].values()) for key in MEASURES} for n in NAMES}
     folder = runs.new_folder(arguments.out)
     tables = {"claims.md": claims_table(means), "policies.md": policies_table(seeds)}
     for file, table in tables.items():
-        (folder / file).write_text(table + "\n")
+        write_text(folder / file, table + "\n")
         print(table, end="\n\n")
     draw(episodes, folder)
     runs.write_json(folder / "results.json", how | {"results": seeds})

@@ -94,6 +94,11 @@ def run(arguments: Arguments) -> None:
     if isinstance(arguments, Resume):
         folder = arguments.folder
         if sweeps.is_sweep(folder):
+            if arguments.from_previous:
+                raise ValueError(
+                    f"from_previous=True is not allowed for the sweep {folder}: resume one of its "
+                    "runs with it, such as seed-0"
+                )
             summary = sweeps.resume_sweep(folder)
         else:
             runs.resume(folder, from_previous=arguments.from_previous)

@@ -49,6 +49,7 @@ def parse() -> Arguments:
 def run(arguments: Arguments) -> None:
     """Evaluate all runs; write table, figure and numbers."""
     from marl_explore import plots, runs, variants
+    from marl_explore.files import write_text
     from marl_explore.leaderboard import parse_entries
     from marl_explore.sweeps import seed_runs
 
@@ -60,7 +61,7 @@ def run(arguments: Arguments) -> None:
     rows = variants.compare(found, arguments.num_arenas, STEPS, arguments.seed)
     table = variants.format_markdown(rows)
     folder = runs.new_folder(arguments.out)
-    (folder / "variants.md").write_text(table + "\n")
+    write_text(folder / "variants.md", table + "\n")
     plots.seeds_figure(
         {row.variant.name: row.scores(DRAWN) for row in rows},
         folder / "variants.png",

@@ -70,6 +70,15 @@ def test_another_policy_replays_to_another_score(run, tmp_path):
     assert replay_score(policy) != recorded_replay(path)
 
 
+def test_it_is_scored_on_arenas_of_the_kind_it_was_trained_on(tmp_path):
+    arena = replace(TINY.arena, height=12, width=12)
+    folder = tmp_path / "run"
+    runs.train(replace(TINY, arena=arena, arenas="mixed"), folder, RunConfig(), progress=False)
+    path = bundle(folder, "mixed", tmp_path)
+    assert replay_score(load_policy(path), arenas="mixed") == recorded_replay(path)
+    assert replay_score(load_policy(path)) != recorded_replay(path)
+
+
 def test_an_unfinished_run_is_refused(run, tmp_path):
     runs.prepare(TINY, tmp_path / "new", RunConfig())
     shutil.copy(run / "policy.safetensors", tmp_path / "new")

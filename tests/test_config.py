@@ -82,6 +82,10 @@ def test_an_infinite_communication_range_is_allowed():
         ({"critic_reads": "everything"}, "critic_reads='everything'"),
         ({"fpr": "max"}, "fpr='max'"),
         ({"terminate_at_coverage": 0.0}, "terminate_at_coverage=0.0"),
+        (
+            {"architecture": "deepset", "critic_reads": "state", "without": ("net",)},
+            r"without=\('net',\) .*deepset actors do not read net",
+        ),
     ],
 )
 def test_runs_that_cannot_be_are_refused(settings, message):

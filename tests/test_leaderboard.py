@@ -132,6 +132,8 @@ def test_the_code_of_a_cell_is_what_it_does_and_not_what_it_says(tmp_path):
     first = digest('"""Rules."""\n\ndef cost(x):\n    """A cost."""\n    return 2 * x  # twice\n')
     assert digest('def cost(x):\n    """Its price."""\n\n    return (2 * x)\n') == first
     assert digest("def cost(x):\n    return 3 * x\n") != first
+    (tmp_path / "kernel.c").write_text("int cost(int x) { return 2 * x; }\n")
+    assert digest("def cost(x):\n    return 2 * x\n") != first
     planners, trained = code.code_digest(planner=True), code.code_digest(planner=False)
     assert planners != trained
     assert cells.measure(CELL)["settings"]["code"] == planners
@@ -153,6 +155,8 @@ def test_the_bound_is_a_reference_without_episodes(tmp_path):
     assert shown["complete"] == shown["steps to 95 %"] == "-"
     page = leaderboard.write_report(tmp_path / "a.html", [rows]).read_text()
     assert '<th scope="row">bound</th>' in page
+    alone = leaderboard.write_report(tmp_path / "b.html", [rank({"bound": [results[bound]]})])
+    assert "<figure>" not in alone.read_text()
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}"])

@@ -129,6 +129,9 @@ def test_a_run_starts_from_another_policy(tmp_path):
     assert len({id(weight) for weight in weights}) == ROBOTS
     with pytest.raises(ValueError, match=r"3 actors \('mlp', \(8,\), .* cannot start from 1 "):
         Trainer(replace(CONFIG, start_from=str(path), hidden=(8,)))
+    with pytest.raises(ValueError, match=r"2 actors .*, 2\) cannot start from 1 .*, 3\)"):
+        Trainer(replace(CONFIG, start_from=str(path), arena=replace(CONFIG.arena, num_agents=2)))
+    Trainer(replace(CONFIG, start_from="nowhere"), fresh=False)  # weights come from a checkpoint
 
 
 def test_ippo_with_a_critic_on_the_state_is_refused():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -26,10 +27,16 @@ def an_episode(steps=6):
 
 
 @pytest.fixture
-def drawn(monkeypatch):
+def drawn(monkeypatch, tmp_path):
     """The figures that would have been written."""
     figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: figures.append(self))
+
+    def keep(figure, path, **_):
+        figures.append(figure)
+        Path(path).touch()
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Figure, "savefig", keep)
     return figures
 
 
@@ -160,6 +167,9 @@ def test_figures_are_written_in_the_format_of_their_ending_and_repeat(tmp_path):
     one, two = (plots.coverage_figure(curves, tmp_path / f"{i}.svg").read_bytes() for i in "12")
     assert one.startswith(b"<?xml")
     assert one == two
+    with pytest.raises(ValueError, match="'abc' is not supported"):
+        plots.coverage_figure(curves, tmp_path / "1.abc")
+    assert {path.name for path in tmp_path.iterdir()} == {"coverage.png", "1.svg", "2.svg"}
 
 
 def test_episode_animation_has_a_frame_per_step(tmp_path):

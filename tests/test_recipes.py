@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -144,7 +145,9 @@ def test_runs_are_held_against_the_paper_and_bundled(tmp_path):
     run = tmp_path / "run"
     assert recipe("train.py", "fast", *TINY, "--out", run).returncode == 0
     names = [f"{network}-{case}={run}" for network in ("mlp", "cnn") for case in ("case1", "case2")]
-    names[0] += f",{run}"
+    copy = tmp_path / "other" / run.name
+    shutil.copytree(run, copy)
+    names[0] += f",{copy}"
     done = recipe("paper.py", *names, "--num-arenas", "3", "--out", "paper", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     claims = (tmp_path / "paper" / "claims.md").read_text()
@@ -158,9 +161,23 @@ def test_runs_are_held_against_the_paper_and_bundled(tmp_path):
         assert (tmp_path / "paper" / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
     results = json.loads((tmp_path / "paper" / "results.json").read_text())["results"]
     assert list(results) == ["mlp-case1", "mlp-case2", "cnn-case1", "cnn-case2"]
+    assert list(results["mlp-case1"]) == [str(run), str(copy)]  # though both are called "run"
+    names[0] += f",{run}"
+    done = recipe("paper.py", *names, "--num-arenas", "3", "--out", "twice", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "each may come once" in done.stderr
+    assert not (tmp_path / "twice").exists()
     done = recipe("bundle.py", f"small={run}", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "small.safetensors").is_file()
+
+
+def test_a_sweep_does_not_go_on_from_previous_checkpoints(tmp_path):
+    (tmp_path / "sweep.json").write_text('{"seeds": [0], "jobs": 1, "starts": []}')
+    refused = recipe("train.py", "resume", tmp_path, "--from-previous", "True")
+    assert refused.returncode == 1
+    assert "from_previous=True is not allowed for the sweep" in refused.stderr
+    assert json.loads((tmp_path / "sweep.json").read_text())["starts"] == []
 
 
 def test_variants_are_held_against_a_baseline(tmp_path):

@@ -27,7 +27,7 @@ def test_seeds_in_words(text, seeds):
     assert parse_seeds(text) == seeds
 
 
-@pytest.mark.parametrize("text", ["", "a", "-3", "1-", "0-2,1", "1.5", "4-2"])
+@pytest.mark.parametrize("text", ["", "a", "-3", "1-", "0-2,1", "1.5", "4-2", "5-3,1"])
 def test_wrong_words(text):
     with pytest.raises(ValueError, match=f"seeds='{text}' is not allowed"):
         parse_seeds(text)
@@ -95,6 +95,41 @@ def test_wrong_settings_are_refused_before_a_folder_is_made(tmp_path):
     with pytest.raises(ValueError, match="reward='fame' is unknown"):
         sweeps.sweep(replace(CONFIG, reward="fame"), tmp_path / "sweep", [0], RunConfig())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("seeds", "jobs", "message"),
+    [
+        ([], None, r"seeds=\[\] is not allowed"),
+        ([1, 0, 1], None, r"seeds=\[1, 0, 1\] is not allowed"),
+        ([0], 0, "jobs=0 is not allowed"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_a_folder_is_made(tmp_path, seeds, jobs, message):
+    with pytest.raises(ValueError, match=message):
+        sweeps.sweep(CONFIG, tmp_path / "sweep", seeds, jobs=jobs)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_was_stopped_is_not_done(tmp_path, monkeypatch):
+    def stopped(folder):
+        raise RunInterruptedError(signal.SIGTERM, "go on with it")
+
+    monkeypatch.setattr(sweeps, "detach", lambda: None)
+    monkeypatch.setattr(runs, "resume", stopped)
+    with pytest.raises(SystemExit) as ended:
+        sweeps._run_one(tmp_path / "seed-0")
+    assert ended.value.code == 128 + signal.SIGTERM
+    assert "stopped by SIGTERM" in (tmp_path / "seed-0.log").read_text()
+
+
+def test_one_seed_says_nothing_of_others(tmp_path):
+    folder = tmp_path / "seed-0" / "scalars"
+    folder.mkdir(parents=True)
+    (folder / "episode_return.csv").write_text("1,2.5\n")
+    summary = sweeps.summarize_seeds(tmp_path, [0])
+    assert summary == {"episode_return": {"mean": 2.5, "low": None, "high": None, "seeds": 1}}
+    assert sweeps.format_summary(summary).split()[-4:] == ["episode_return", "2.500", "-", "-"]
 
 
 def test_the_runs_of_a_sweep_are_known_once_all_are_finished(tmp_path):

@@ -41,8 +41,10 @@ def combine(*parts: Tensor | int) -> Tensor:
     """One int64 hash of several integers in their order; the parts broadcast."""
     result = torch.zeros((), dtype=torch.int64)
     for part in parts:
-        part = part if isinstance(part, Tensor) else torch.tensor(_signed(part))
-        result = mix(result.to(part.device) ^ part)
+        if isinstance(part, Tensor):
+            result = mix(result.to(part.device) ^ part)
+        else:
+            result = mix(result ^ _signed(part))
     return result
 
 

@@ -45,8 +45,8 @@ def networks(reach: Tensor, communicating: Tensor) -> Tensor:
     robots = communicating.shape[-1]
     pairs = reach & communicating.unsqueeze(-1) & communicating.unsqueeze(-2)
     # the batch comes last, so that every operation runs over whole vectors of arenas
-    joined = pairs.view(-1, robots, robots).permute(1, 2, 0).to(torch.uint8).contiguous()
+    joined = pairs.reshape(-1, robots, robots).permute(1, 2, 0).to(torch.uint8).contiguous()
     for _ in range((robots - 1).bit_length()):  # each pass doubles the length of the chains
         joined = (joined.unsqueeze(2) & joined).amax(1)
     members = joined.sum(1, keepdim=True) > 1
-    return (joined * members).permute(2, 0, 1).contiguous().bool().view(reach.shape)
+    return (joined * members).permute(2, 0, 1).contiguous().bool().view(pairs.shape)

@@ -182,7 +182,7 @@ class _Exchanged(NamedTuple):
 def _exchange(grid: Tensor, state: WorldState, reach: Tensor, action: Tensor) -> _Exchanged:
     """Merge the maps [*B, N, H, W] of robots that communicate, in place; what that brought."""
     robots, *size = grid.shape[-3:]
-    communicating = (action == COMMUNICATE).view(-1, robots)
+    communicating = (action == COMMUNICATE).reshape(-1, robots)
     result = _Exchanged(
         torch.zeros_like(reach), torch.zeros_like(state.known), torch.zeros_like(state.known)
     )
@@ -191,7 +191,7 @@ def _exchange(grid: Tensor, state: WorldState, reach: Tensor, action: Tensor) ->
         return result
 
     def at_rows(part: Tensor, *shape: int) -> Tensor:  # several times faster than part[rows]
-        return part.view(-1, *shape).index_select(0, rows)
+        return part.reshape(-1, *shape).index_select(0, rows)
 
     network = networks(at_rows(reach, robots, robots), at_rows(communicating, robots))
     before = known_mask(at_rows(grid, robots, *size))

@@ -8,9 +8,10 @@ from functools import lru_cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent
-RULES = ("config.py", "core", "env.py", "specs.py", "evaluation.py", "metrics.py")
-PLANNING = ("planners",)
-ACTING = ("transforms", "features.py", "native", "models", "policies.py", "likeliest.py", "team.py")
+RULES = ("codes.py", "config.py", "core", "env.py", "specs.py", "evaluation.py", "metrics.py")
+TABLES = ("transforms", "native")
+PLANNING = (*TABLES, "planners")
+ACTING = (*TABLES, "features.py", "models", "policies.py", "likeliest.py", "team.py")
 """What planners, and what trained policies, have beside the rules and the measures."""
 
 
@@ -25,12 +26,18 @@ def code_digest(planner: bool) -> str:
 
 
 def digest(paths: list[Path]) -> str:
-    """SHA-256 of what modules, and all modules of folders, do."""
+    """SHA-256 of what modules, and all modules of folders, do; C sources count as they are."""
     total = hashlib.sha256()
     for path in paths:
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            total.update(f"{file.name}\n{_statements(file.read_text(encoding='utf-8'))}\n".encode())
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.suffix in (".py", ".c"):
+                total.update(f"{file.name}\n{_source(file)}\n".encode())
     return total.hexdigest()
+
+
+def _source(file: Path) -> str:
+    text = file.read_text(encoding="utf-8")
+    return _statements(text) if file.suffix == ".py" else text
 
 
 def _statements(source: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from marl_explore import plots
-from marl_explore.files import whole_file
+from marl_explore.files import write_text
 from marl_explore.leaderboard.ranking import Row, title
 from marl_explore.leaderboard.table import COLUMNS, MEANINGS, blocks
 from marl_explore.stats import Band
@@ -47,8 +47,7 @@ def write_report(path: str | Path, boards: Sequence[Sequence[Row]], about: str =
         meanings="\n".join(meanings),
     )
     path = Path(path)
-    with whole_file(path) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 
@@ -57,7 +56,7 @@ def _section(rows: Sequence[Row], order: Sequence[str]) -> str:
     figures = (
         f'<figure><img alt="{escape(CAPTIONS[name])}" src="{source}">'
         f"<figcaption>{escape(CAPTIONS[name])}</figcaption></figure>"
-        for name, source in _figures(in_order).items()
+        for name, source in (_figures(in_order) if in_order else {}).items()
     )
     return (
         f"<section><h2>{escape(title(rows))}</h2>{_table(rows)}"

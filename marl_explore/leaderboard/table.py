@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_explore import tables
-from marl_explore.files import whole_file
+from marl_explore.files import whole_file, write_text
 from marl_explore.leaderboard.ranking import Row, title
 
 
@@ -94,11 +94,11 @@ def write_tables(folder: Path, boards: Sequence[Sequence[Row]], record: Mapping[
         boards: the rows of each suite.
         record: about the run, kept in table.json.
     """
-    _write(folder / "table.txt", format_text(boards))
-    _write(folder / "table.md", format_markdown(boards))
+    write_text(folder / "table.txt", format_text(boards))
+    write_text(folder / "table.md", format_markdown(boards))
     records = [_record(row) for rows in boards for row in rows]
     content = {"rows": records, "run": record}
-    _write(folder / "table.json", json.dumps(content, indent=2, default=str) + "\n")
+    write_text(folder / "table.json", json.dumps(content, indent=2, default=str) + "\n")
     names = list(dict.fromkeys(name for entry in records for name in entry))
     with whole_file(folder / "table.csv") as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.DictWriter(file, names)
@@ -118,8 +118,3 @@ def _record(row: Row) -> dict[str, Any]:
         "steps": row.settings["steps"],
     }
     return about | {name: None if math.isnan(x) else x for name, x in row.measures.items()}
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")

@@ -21,9 +21,10 @@ _TABLE_SIZES = 3 + TERRITORY_SIZE + 1  # of a direction: FPR, territory, gain
 class DeepSetActor(nn.Module):
     """Logits [*B, 10] of one robot of any team on any arena.
 
-    Every other robot is encoded on its own, and the codes are pooled (mean and maximum over those
-    it has met or sees), after Zaheer et al., "Deep Sets", 2017. What the tables say of a direction
-    is scored by one network for all eight: what it learns of one holds for the others.
+    Every other robot is encoded on its own, and the codes are pooled (mean and maximum over all but
+    those out of range that a relay has just merged it with), after Zaheer et al., "Deep Sets",
+    2017. What the tables say of a direction is scored by one network for all eight: what it learns
+    of one holds for the others.
 
     Args:
         config: the arena; of it only the field of view matters.

@@ -17,7 +17,6 @@ def observation_keys(inputs: Sequence[str]) -> list[NestedKey]:
 
 
 OBSERVATION_KEYS = observation_keys(PAPER_INPUTS)
-STATE_KEYS: list[NestedKey] = ["obstacles", ("agents", "position"), ("agents", "map")]
 _EVENT_DIMS = {
     "fov": 2,
     "fpr": 2,

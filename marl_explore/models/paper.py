@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from marl_explore.codes import NUM_FEATURES
 from marl_explore.config import ArenaConfig
 from marl_explore.core.grid import NUM_ACTIONS, NUM_DIRECTIONS
 from marl_explore.models.inputs import PAPER_INPUTS, by_robot, in_a_row
 from marl_explore.models.layers import ACTOR_GAIN, CRITIC_GAIN, initialize, mlp
 
-_FPR_SIZE = NUM_DIRECTIONS * 3
+_FPR_SIZE = NUM_DIRECTIONS * NUM_FEATURES
 
 
 class MLPActor(nn.Module):

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from marl_explore.files import whole_file
 from marl_explore.palette import COLORS
 from marl_explore.stats import Array, Band
 
@@ -51,6 +52,9 @@ def legend(figure: Figure, axes: Axes) -> None:
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure in the format of the file's ending."""
     path = Path(path)
-    # an SVG else holds the time it was made
-    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    kind = path.suffix.removeprefix(".")
+    with whole_file(path) as unfinished:
+        # an SVG else holds the time it was made
+        metadata = {"Date": None} if kind == "svg" else None
+        figure.savefig(unfinished, format=kind, metadata=metadata)
     return path

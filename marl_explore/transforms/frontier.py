@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from marl_explore import native
+from marl_explore.codes import NUM_FEATURES
 from marl_explore.core import frontier
 from marl_explore.core.frontier import NORMALIZATIONS, Normalization
 from marl_explore.core.grid import NUM_DIRECTIONS
@@ -18,7 +19,6 @@ from marl_explore.transforms.base import MapFeature
 
 Backend = Literal["auto", "torch", "native"]
 BACKENDS: tuple[Backend, ...] = ("auto", "torch", "native")
-_FEATURES = 3
 
 
 class FrontierReachability(MapFeature):
@@ -83,5 +83,5 @@ class FrontierReachability(MapFeature):
         """Bounds of the table: 1 where normalised by the robot's own longest path."""
         height, width = grid.shape[-2:]
         high = 1 if self.normalize in ("relative", "proximity") else height * width
-        shape = (*grid.shape[:-2], NUM_DIRECTIONS, _FEATURES)
+        shape = (*grid.shape[:-2], NUM_DIRECTIONS, NUM_FEATURES)
         return Bounded(0, high, shape=shape, dtype=torch.float32, device=grid.device)

@@ -96,6 +96,10 @@ def test_unsigned_numbers_beyond_int64_stand_for_their_bits():
     assert combine(2**63) == combine(-(2**63))
 
 
+def test_a_number_does_not_bring_the_hash_back_to_the_processor():
+    assert combine(torch.zeros(3, dtype=torch.int64, device="meta"), 5).device.type == "meta"
+
+
 def test_hashing_leaves_its_inputs_as_they_were():
     x = torch.tensor([1, -2, 3])
     mix(x)

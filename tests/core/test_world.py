@@ -283,10 +283,11 @@ def test_a_step_leaves_its_inputs_as_they_were(scenario):
 
 
 @repeatable(max_examples=20)
-@given(scenario=scenarios(max_side=8, batch=(6, 6)))
-def test_more_batch_dimensions_give_the_same_as_one(scenario):
+@given(scenario=scenarios(max_side=8, batch=(6, 6)), in_order=st.booleans())
+def test_more_batch_dimensions_give_the_same_as_one(scenario, in_order):
     def fold(flat):
-        return flat.unflatten(0, (2, 3))
+        folded = flat.unflatten(0, (2, 3))
+        return folded if in_order else folded.transpose(0, 1).contiguous().transpose(0, 1)
 
     flat = start_of(scenario)
     folded = start(scenario.config, fold(scenario.obstacles), fold(scenario.positions))
