@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -16,6 +16,7 @@ from marl_explore.config import ArenaConfig, require_coverage, require_integer
 from marl_explore.core import mapping, motion, rewards, world
 from marl_explore.core.hashing import stream_seed
 from marl_explore.core.world import WorldState
+from marl_explore.episode_state import EpisodeState, LastStep
 from marl_explore.specs import exploration_specs
 
 _WORLD_KEYS: dict[NestedKey, str] = {
@@ -27,16 +28,6 @@ _WORLD_KEYS: dict[NestedKey, str] = {
     "step_count": "step_count",
 }
 _START_KEYS: tuple[NestedKey, NestedKey] = ("obstacles", ("agents", "position"))
-
-
-class LastStep(NamedTuple):
-    """What the last step did to each robot [B, N]; False or 0 at reset but for ``discovered``."""
-
-    dangerous: Tensor
-    merged: Tensor
-    discovered: Tensor
-    received: Tensor
-    individual_reward: Tensor
 
 
 class ExplorationEnv(EnvBase):
@@ -97,7 +88,7 @@ class ExplorationEnv(EnvBase):
         self._seed = seed
         # -1: no arena drawn yet; the first reset draws episode 0
         self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=self.device)
-        self._state: tuple[WorldState, LastStep] | None = None
+        self._state: EpisodeState | None = None
         self._restored = False
         specs = exploration_specs(config, self.batch_size, self.device)
         self.full_state_spec, self.full_observation_spec, *others = specs
@@ -109,7 +100,7 @@ class ExplorationEnv(EnvBase):
         return self.batch_size[0]
 
     @property
-    def _now(self) -> tuple[WorldState, LastStep]:
+    def _now(self) -> EpisodeState:
         if self._state is None:
             raise RuntimeError("ExplorationEnv has no arenas yet: call reset() first")
         return self._state
@@ -128,16 +119,15 @@ class ExplorationEnv(EnvBase):
     ) -> TensorDictBase:
         flagged = None if tensordict is None else tensordict.get("_reset", None)
         if set_state:
-            given, last = self._given_state(tensordict)
+            given = self._given_state(tensordict)
             rows = self._rows(flagged)
-            self._replace_rows(rows, *(_take(part, rows) for part in (given, last)))
+            self._replace_rows(rows, given.apply(lambda entry: entry[rows]))
         elif not self._restored or flagged is not None:
             rows = self._rows(flagged)
             if len(rows):
-                fresh = self._draw(rows)
-                self._replace_rows(rows, fresh, _at_rest(fresh, first=True))
+                self._replace_rows(rows, EpisodeState.at_rest(self._draw(rows), first=True))
         self._restored = False  # else: the state that was loaded is the one to go on from
-        never = torch.zeros_like(self._now[0].step_count, dtype=torch.bool)
+        never = torch.zeros_like(self._now.world.step_count, dtype=torch.bool)
         return self._observe(done=never, terminated=never.clone(), truncated=never.clone())
 
     def _rows(self, flagged: Tensor | None) -> Tensor:
@@ -153,7 +143,7 @@ class ExplorationEnv(EnvBase):
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
         return world.start(self.config, obstacles, position)
 
-    def _given_state(self, tensordict: TensorDictBase | None) -> tuple[WorldState, LastStep]:
+    def _given_state(self, tensordict: TensorDictBase | None) -> EpisodeState:
         """The state in a TensorDict: given starts, or all of an episode under way."""
         entries = {} if tensordict is None else self._state_entries(tensordict)
         missing = [key for key in _WORLD_KEYS if key not in entries]
@@ -168,12 +158,12 @@ class ExplorationEnv(EnvBase):
         obstacles, position = (entries[key] for key in _START_KEYS)
         world.check_starts(obstacles, position)
         if missing:
-            state = world.start(self.config, obstacles, position)
-            return state, _at_rest(state, first=True)
+            started = world.start(self.config, obstacles, position)
+            return EpisodeState.at_rest(started, first=True)
         world.check_maps(obstacles, position, entries["agents", "map"])
         given = {name: entries[key].clone() for key, name in _WORLD_KEYS.items()}
-        state = world.resume(self.config, given.pop("obstacles"), given.pop("position"), **given)
-        return state, _at_rest(state, first=False)
+        resumed = world.resume(self.config, given.pop("obstacles"), given.pop("position"), **given)
+        return EpisodeState.at_rest(resumed, first=False)
 
     @staticmethod
     def _state_entries(tensordict: TensorDictBase) -> dict[NestedKey, Tensor]:
@@ -185,23 +175,19 @@ class ExplorationEnv(EnvBase):
         for key, value in entries.items():
             _require_like("reset(set_state=True)", key, value, self.full_state_spec[key])
 
-    def _replace_rows(self, rows: Tensor, fresh: WorldState, last: LastStep) -> None:
+    def _replace_rows(self, rows: Tensor, fresh: EpisodeState) -> None:
         """Write fresh arenas into the state, leaving tensors that were handed out untouched."""
         if self._state is None or len(rows) == self.num_envs:
-            self._state = fresh, last
+            self._state = fresh
         else:
-            old, old_last = self._state
-            self._state = (
-                WorldState(*_written(old, rows, fresh)),
-                LastStep(*_written(old_last, rows, last)),
-            )
+            self._state = self._state.replace_rows(rows, fresh)
 
     # ------------------------------------------------------------------- step
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get(("agents", "action"))
         self._restored = False
-        state, record = world.advance(self.config, self._now[0], action)
+        state, record = world.advance(self.config, self._now.world, action)
         reward = rewards.checked(self._reward(record), record)
         last = LastStep(
             dangerous=record.dangerous,
@@ -210,7 +196,7 @@ class ExplorationEnv(EnvBase):
             received=record.received,
             individual_reward=reward.unsqueeze(-1),
         )
-        self._state = state, last
+        self._state = EpisodeState(state, last)
         terminated = self._covered(state, record).unsqueeze(-1)
         truncated = state.step_count >= self.max_steps
         return self._observe(
@@ -264,7 +250,7 @@ class ExplorationEnv(EnvBase):
         if tensordict is None:
             if self._state is None:
                 return super().rand_action(None)
-            mask = self._now[0].action_mask
+            mask = self._now.world.action_mask
             tensordict = TensorDict({}, batch_size=self.batch_size, device=self.device)
         else:
             mask = tensordict.get(("agents", "action_mask"))
@@ -275,9 +261,7 @@ class ExplorationEnv(EnvBase):
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
         """Everything the future of the environment depends on, as tensors and integers."""
         state: dict[str, Any] = {"seed": self._seed, "episode": self._episode}
-        for part in self._state or ():
-            state.update(part._asdict())
-        return state
+        return state if self._state is None else state | self._state.tensors()
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
         """Go on from a ``state_dict``: the next full reset returns its observation.
@@ -285,9 +269,8 @@ class ExplorationEnv(EnvBase):
         Raises:
             ValueError: when the entries are not those of this environment.
         """
-        names = {"seed", "episode"}
-        if len(state_dict) > len(names):
-            names |= {*WorldState._fields, *LastStep._fields}
+        started = len(state_dict) > 2
+        names = {"seed", "episode", *(EpisodeState.names() if started else ())}
         if set(state_dict) != names:
             raise ValueError(
                 f"state_dict holds {sorted(state_dict)}, expected {sorted(names)} "
@@ -299,31 +282,26 @@ class ExplorationEnv(EnvBase):
                 f"this environment has {self.num_envs}"
             )
         state = None
-        if len(names) > 2:
+        if started:
             # everything that follows from something else must fit what would be made here
-            blank = self._blank()
-            for name, like in {**blank[0]._asdict(), **blank[1]._asdict()}.items():
+            for name, like in self._blank().tensors().items():
                 _require_like("state_dict", name, state_dict[name], like)
-            state = (
-                WorldState(*(state_dict[name].to(self.device) for name in WorldState._fields)),
-                LastStep(*(state_dict[name].to(self.device) for name in LastStep._fields)),
-            )
+            state = EpisodeState.from_tensors(state_dict).apply(lambda x: x.to(self.device))
         self._seed = state_dict["seed"]
         self._episode = state_dict["episode"].to(self.device)
-        self._state, self._restored = state, state is not None
+        self._state, self._restored = state, started
 
-    def _blank(self) -> tuple[WorldState, LastStep]:
+    def _blank(self) -> EpisodeState:
         """A state of empty arenas, for its dtypes and shapes."""
         entries = self.full_state_spec.zero()
-        state = world.start(self.config, entries["obstacles"], entries["agents", "position"])
-        return state, _at_rest(state, first=True)
+        blank = world.start(self.config, entries["obstacles"], entries["agents", "position"])
+        return EpisodeState.at_rest(blank, first=True)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ExplorationEnv:
         """Move the state along when the environment moves to another device."""
         self._episode = fn(self._episode)
         if self._state is not None:
-            state, last = self._state
-            self._state = WorldState(*map(fn, state)), LastStep(*map(fn, last))
+            self._state = self._state.apply(fn)
         return super()._apply(fn, recurse)
 
 
@@ -333,24 +311,3 @@ def _require_like(where: str, key: NestedKey, value: Tensor, like: Tensor | Tens
             f"{where}: {key!r} must be {like.dtype} of shape {tuple(like.shape)}, "
             f"got {value.dtype} of shape {tuple(value.shape)}"
         )
-
-
-def _at_rest(state: WorldState, first: bool) -> LastStep:
-    """The record of no step; at a first sensing the known cells are discoveries."""
-    nothing = torch.zeros_like(state.known)
-    return LastStep(
-        dangerous=nothing.bool(),
-        merged=nothing.bool(),
-        discovered=state.known if first else nothing,
-        received=nothing.clone(),
-        individual_reward=nothing.float().unsqueeze(-1),
-    )
-
-
-def _take(part: Any, rows: Tensor) -> Any:
-    return type(part)(*(entry[rows] for entry in part))
-
-
-def _written(part: Any, rows: Tensor, fresh: Any) -> list[Tensor]:
-    """Copies of a state's tensors with some rows replaced."""
-    return [old.index_put((rows,), new) for old, new in zip(part, fresh, strict=True)]

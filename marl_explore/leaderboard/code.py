@@ -8,7 +8,16 @@ from functools import lru_cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent
-RULES = ("codes.py", "config.py", "core", "env.py", "specs.py", "evaluation.py", "metrics.py")
+RULES = (
+    "codes.py",
+    "config.py",
+    "core",
+    "env.py",
+    "episode_state.py",
+    "specs.py",
+    "evaluation.py",
+    "metrics.py",
+)
 TABLES = ("transforms", "native")
 PLANNING = (*TABLES, "planners")
 ACTING = (*TABLES, "features.py", "models", "policies.py", "likeliest.py", "team.py")
