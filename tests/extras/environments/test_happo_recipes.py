@@ -169,5 +169,5 @@ def test_wrong_settings_and_missing_packages_are_named(recipe):
     with pytest.raises(ValueError, match="max_steps=0"):
         recipe.Arguments(max_steps=0)
     shared = importlib.import_module("happo_mappo")
-    with pytest.raises(ValueError, match=r'needs nothing: pip install "marl-explore\[all\]"'):
+    with pytest.raises(ValueError, match=r'needs nothing: pip install "\.\[all\]"'):
         shared.run(recipe.Arguments(), "nothing", "all")
