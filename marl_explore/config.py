@@ -245,16 +245,16 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse settings that describe no run."""
+        self._require_ranges()
+        self._require_networks()
+        self._require_batch()
+
+    def _require_ranges(self) -> None:
+        """What holds for each setting alone."""
         for name in ("episodes", "episode_steps", "num_envs", "rollout_steps", "ppo_epochs"):
             require_integer(name, getattr(self, name), 1)
         require_integer("seed", self.seed, 0)
         require_integer("communicate_after", self.communicate_after, 0)
-        _require(
-            isinstance(self.minibatches, int) and 1 <= self.minibatches <= self.batch_frames,
-            "minibatches",
-            self.minibatches,
-            f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",
-        )
         for name, allowed in _CHOICES.items():
             _require(getattr(self, name) in allowed, name, getattr(self, name), f"use {allowed}")
         for width in self.hidden:
@@ -267,6 +267,14 @@ class TrainConfig:
         _require(
             self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
         )
+        require_coverage("terminate_at_coverage", self.terminate_at_coverage)
+        for name in ("gamma", "lmbda"):
+            _require(
+                0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"
+            )
+
+    def _require_networks(self) -> None:
+        """What actors and critics can read, of those that are chosen."""
         periods = (1, 2, 3, 6) if self.architecture == "deepset" else (1,)
         _require(
             self.communicate_every in periods,
@@ -298,11 +306,15 @@ class TrainConfig:
             self.critic_reads,
             "ippo's critics read their own robot's observation",
         )
-        require_coverage("terminate_at_coverage", self.terminate_at_coverage)
-        for name in ("gamma", "lmbda"):
-            _require(
-                0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"
-            )
+
+    def _require_batch(self) -> None:
+        """A batch that can be normalised over and split, and steps for at least one."""
+        _require(
+            isinstance(self.minibatches, int) and 1 <= self.minibatches <= self.batch_frames,
+            "minibatches",
+            self.minibatches,
+            f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",
+        )
         _require(
             self.batch_frames >= 2,
             "rollout_steps",

@@ -52,17 +52,23 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
     return LikeliestActions(policy) if likeliest else policy
 
 
-def trained_on(name: str) -> tuple[ArenaConfig, str] | None:
+def training_arenas(name: str) -> tuple[ArenaConfig, str]:
     """The arena and the kind of arenas (such as a suite's name) a policy was trained on.
 
-    None for what is no policy, such as a planner's name.
+    Raises:
+        ValueError: saying why, for what is no policy, such as a planner's name.
     """
+    name = name.removesuffix(ARGMAX)
+    arena = load_policy(name).spec.arena
+    return arena, policy_info(name).get("config", {}).get("arenas", "uniform")
+
+
+def trained_on(name: str) -> tuple[ArenaConfig, str] | None:
+    """The ``training_arenas`` of a policy; None for what is none."""
     try:
-        name = name.removesuffix(ARGMAX)
-        arena = load_policy(name).spec.arena
+        return training_arenas(name)
     except ValueError:
         return None
-    return arena, policy_info(name).get("config", {}).get("arenas", "uniform")
 
 
 def play(

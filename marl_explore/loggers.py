@@ -12,7 +12,7 @@ from torchrl.record.loggers import Logger, MLFlowLogger
 from torchrl.record.loggers.utils import get_logger
 
 from marl_explore.execution import LoggerName
-from marl_explore.files import whole_file
+from marl_explore.files import write_text
 
 PACKAGES: dict[str, tuple[str, ...]] = {
     "tensorboard": ("tensorboard",),
@@ -78,8 +78,7 @@ def _rewind(file: Path, frames: int) -> None:
     rows = file.read_text().splitlines(keepends=True)
     kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= frames]
     if len(kept) < len(rows):
-        with whole_file(file) as unfinished:
-            unfinished.write_text("".join(kept))
+        write_text(file, "".join(kept))
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

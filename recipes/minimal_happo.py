@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import torch
 import tyro
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
+from torch.optim import Adam, Optimizer
 from torchrl.collectors import Collector
 from torchrl.envs import RewardSum
 
@@ -19,6 +21,22 @@ from marl_explore.models import OBSERVATION_KEYS, MLPActor, MLPCritic
 from marl_explore.team import StackedActors, probabilistic_actor
 
 ENVS, STEPS, EPOCHS = 32, 50, 5
+
+
+def learn(loss: HAPPOLoss, optimizers: dict[str, Optimizer], batch: TensorDictBase) -> None:
+    """One update of every actor and of the critic, from a batch [frames] with advantages."""
+    for name in loss.update_order():  # one robot after the other ...
+        for _ in range(EPOCHS):
+            losses = loss.actor_loss(batch, name)
+            optimizers[name].zero_grad()
+            (losses["loss_objective"] + losses["loss_entropy"]).backward()
+            optimizers[name].step()
+        loss.update_factor(batch, name)  # ... weighted by the ratios of those before it
+
+    for _ in range(EPOCHS):
+        optimizers["critic"].zero_grad()
+        loss.critic_loss(batch)["loss_critic"].backward()
+        optimizers["critic"].step()
 
 
 def main(updates: int = 60) -> float:
@@ -46,11 +64,10 @@ def main(updates: int = 60) -> float:
         views={name: ("agents", i) for i, name in enumerate(names)},
     )
     loss.make_value_estimator(gamma=0.95, lmbda=0.95)
-    optimizers = {
-        name: torch.optim.Adam(actor.parameters(), lr=1e-3)
-        for name, actor in loss.actor_losses.items()
+    optimizers: dict[str, Optimizer] = {
+        name: Adam(actor.parameters(), lr=1e-3) for name, actor in loss.actor_losses.items()
     }
-    optimizers["critic"] = torch.optim.Adam(critic.parameters(), lr=1e-3)
+    optimizers["critic"] = Adam(critic.parameters(), lr=1e-3)
 
     # The same networks, stacked, act on whole batches.
     collector = Collector(
@@ -62,20 +79,7 @@ def main(updates: int = 60) -> float:
     )
     length = float("nan")
     for update, rollout in enumerate(collector, start=1):
-        batch = loss.estimate_advantage(rollout).reshape(-1)
-
-        for name in loss.update_order():  # one robot after the other ...
-            for _ in range(EPOCHS):
-                losses = loss.actor_loss(batch, name)
-                optimizers[name].zero_grad()
-                (losses["loss_objective"] + losses["loss_entropy"]).backward()
-                optimizers[name].step()
-            loss.update_factor(batch, name)  # ... weighted by the ratios of those before it
-
-        for _ in range(EPOCHS):
-            optimizers["critic"].zero_grad()
-            loss.critic_loss(batch)["loss_critic"].backward()
-            optimizers["critic"].step()
+        learn(loss, optimizers, loss.estimate_advantage(rollout).reshape(-1))
 
         ended = rollout["next", "done"].squeeze(-1)
         if ended.any() and update % 10 == 0:

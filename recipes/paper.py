@@ -199,12 +199,9 @@ def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
 
 def play(policy: str, arguments: Arguments) -> Episodes:
     """The test episodes of one trained policy, on the arenas it was trained for."""
-    from marl_explore.evaluation import find_policy, record, trained_on
+    from marl_explore.evaluation import find_policy, record, training_arenas
 
-    known = trained_on(policy)
-    if known is None:
-        raise ValueError(f"policies={policy!r} is not allowed: it is no trained policy")
-    arena, arenas = known
+    arena, arenas = training_arenas(policy)
     return record(
         find_policy(policy, arena),
         arena,

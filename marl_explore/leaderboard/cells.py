@@ -18,7 +18,7 @@ from marl_explore import metrics, runs
 from marl_explore.arenas import Suite
 from marl_explore.env import ExplorationEnv
 from marl_explore.evaluation import ARGMAX, TEST_STREAM, find_policy, record
-from marl_explore.files import whole_file
+from marl_explore.files import write_text
 from marl_explore.leaderboard.code import code_digest
 from marl_explore.metrics import Episodes
 from marl_explore.planners import PLANNERS, counting_bound
@@ -111,8 +111,7 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
             if cell not in results:
                 bar.set_postfix_str(f"{cell.policy} on {cell.suite.id}", refresh=terminal)
                 results[cell] = measure(cell)
-                with whole_file(paths[cell]) as unfinished:
-                    unfinished.write_text(json.dumps(results[cell]) + "\n")
+                write_text(paths[cell], json.dumps(results[cell]) + "\n")
                 bar.update()
     return results
 

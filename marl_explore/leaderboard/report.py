@@ -56,7 +56,7 @@ def _section(rows: Sequence[Row], order: Sequence[str]) -> str:
     figures = (
         f'<figure><img alt="{escape(CAPTIONS[name])}" src="{source}">'
         f"<figcaption>{escape(CAPTIONS[name])}</figcaption></figure>"
-        for name, source in (_figures(in_order) if in_order else {}).items()
+        for name, source in _figures(in_order).items()
     )
     return (
         f"<section><h2>{escape(title(rows))}</h2>{_table(rows)}"
@@ -82,7 +82,9 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _figures(rows: Sequence[Row]) -> dict[str, str]:
-    """The figures of a suite as addresses that hold the whole picture."""
+    """The figures of a suite as addresses that hold the whole picture; none of no rows."""
+    if not rows:
+        return {}
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         plots.coverage_figure({r.name: _coverage(r) for r in rows}, place / "coverage.svg")

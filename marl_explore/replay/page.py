@@ -12,7 +12,7 @@ from string import Template
 from tensordict import TensorDictBase
 
 from marl_explore.config import ArenaConfig
-from marl_explore.files import whole_file
+from marl_explore.files import write_text
 from marl_explore.palette import COLORS
 from marl_explore.replay.data import episode_data
 
@@ -59,8 +59,7 @@ def write_replay(
         player=_asset("player.js"),
     )
     path = Path(path)
-    with whole_file(path) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 
