@@ -56,7 +56,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # torch first and by its exact version, so that no later step chooses another build
-$(VENV)/installed: pyproject.toml constraints.txt marl_explore/native/frontier.c | $(BIN)/python
+$(VENV)/installed: pyproject.toml constraints.txt marl_explore/core/native/frontier.c | $(BIN)/python
 	$(BIN)/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
 	$(BIN)/python -m pip install -q -c constraints.txt -e .
 	touch $@

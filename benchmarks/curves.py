@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator
 
 from benchmarks.timing import medians
 from marl_explore import ArenaConfig, make_env
-from marl_explore.plots.style import STYLE, line_styles, save
+from marl_explore.evaluation.plots.style import STYLE, line_styles, save
 
 CURVES = {
     "side of the arena (cells)": {side: (64, 4, side) for side in (12, 32, 64, 128)},

@@ -13,26 +13,27 @@ import torch
 from tensordict import TensorDict
 
 from benchmarks.timing import medians
-from marl_explore.config import ArenaConfig
-from marl_explore.export import INPUTS, Deployed, example_inputs, export_npz, export_onnx
-from marl_explore.policies import Policy, PolicySpec
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.policies.actors import probabilistic_actor
+from marl_explore.policies.export import INPUTS, Deployed, example_inputs, export_npz, export_onnx
+from marl_explore.policies.networks import CNN, MLP, Network
+from marl_explore.policies.policy import Policy, PolicyConfig
 from marl_explore.robot import ExportedPolicy
-from marl_explore.team import probabilistic_actor
 
 NETWORKS = {
-    "MLP 2400-300": ("mlp", (2400, 300)),
-    "CNN": ("cnn", (300,)),
-    "MLP 128-128": ("mlp", (128, 128)),
+    "MLP 2400-300": MLP(),
+    "CNN": CNN(),
+    "MLP 128-128": MLP(hidden=(128, 128)),
 }
 
 
-def measure(architecture: str, hidden: tuple[int, ...], repeats: int = 7) -> dict[str, float]:
+def measure(network: Network, repeats: int = 7) -> dict[str, float]:
     """Median microseconds per decision."""
     import onnxruntime
 
-    spec = PolicySpec(ArenaConfig(), architecture, hidden, "proximity")  # type: ignore[arg-type]
-    policy = Policy(spec, spec.make_actors())
-    deployed, inputs = Deployed(policy.actors[0]).eval(), example_inputs(spec.arena, 1)
+    config = PolicyConfig(ArenaConfig(), network)
+    policy = Policy(config, config.make_actors())
+    deployed, inputs = Deployed(policy.actors[0]).eval(), example_inputs(config.arena, 1)
     with tempfile.TemporaryDirectory() as folder:
         numpy = ExportedPolicy(export_npz(policy, Path(folder) / "policy.npz"), 0)
         graph = export_onnx(policy, folder)[0].read_bytes()
@@ -61,7 +62,7 @@ def measure(architecture: str, hidden: tuple[int, ...], repeats: int = 7) -> dic
 def main() -> None:
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")  # of the exporter
-    results = {name: measure(*network) for name, network in NETWORKS.items()}
+    results = {name: measure(network) for name, network in NETWORKS.items()}
     contenders = list(next(iter(results.values())))
     print(f"microseconds per decision of one robot, one thread, torch {torch.__version__}")
     print(f"{'':>22}" + "".join(f"{name:>16}" for name in results))

@@ -9,9 +9,10 @@ import torch
 
 from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.timing import medians
-from marl_explore import ArenaConfig, ExplorationEnv, native
+from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.core import native
 from marl_explore.core.frontier import feature_table
-from marl_explore.native import operator
+from marl_explore.core.native import operator
 from marl_explore.planners import PLANNERS
 
 

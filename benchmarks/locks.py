@@ -16,15 +16,15 @@ from unittest import mock
 import torch
 
 from marl_explore import ExplorationEnv, load_policy
-from marl_explore.evaluation import TEST_STREAM
+from marl_explore.evaluation.episodes import TEST_STREAM
 from marl_explore.lab import LabRunner, Noise
-from marl_explore.policies import Policy
-from marl_explore.robot import agreement, core
+from marl_explore.policies.policy import Policy
+from marl_explore.robot import agreement, runtime
 from marl_explore.robot.agreement import Way
 
 LAYOUTS, STEPS = 20, 60
 NOISE = Noise(range_share=0.02, position=0.01, heading=0.0175)
-"""As by recipes/lab.py."""
+"""As by ``marl-explore lab``."""
 ROWS = {
     "locks, clearance": (True, True),
     "locks": (True, False),
@@ -33,7 +33,7 @@ ROWS = {
 }
 
 
-def unlocked(intents: dict[int, core.Intent]) -> dict[int, Way]:
+def unlocked(intents: dict[int, runtime.Intent]) -> dict[int, Way]:
     """Every robot's way as if it had the cells beside its diagonal for itself."""
     refused = agreement.contested(intents)
     alone = {robot: agreement.agree({robot: intent}) for robot, intent in intents.items()}
@@ -42,14 +42,14 @@ def unlocked(intents: dict[int, core.Intent]) -> dict[int, Way]:
 
 def measure(policy: Policy, locks: bool, clearance: bool, layouts: int, steps: int) -> dict:
     """What ``LabRecord.summary`` tells."""
-    env = ExplorationEnv(policy.spec.arena, layouts, seed=0, stream=TEST_STREAM)
+    env = ExplorationEnv(policy.config.arena, layouts, seed=0, stream=TEST_STREAM)
     start = env.reset()
     lab = LabRunner(policy, (start["obstacles"], start["agents", "position"]), NOISE)
     if not clearance:
         for robot in (robot for team in lab.teams for robot in team):
             drive = replace(robot.settings.drive, clearance=0.0)
             robot.settings = replace(robot.settings, drive=drive)
-    with mock.patch.object(core, "agree", agreement.agree if locks else unlocked):
+    with mock.patch.object(runtime, "agree", agreement.agree if locks else unlocked):
         return lab.run(steps).summary()
 
 

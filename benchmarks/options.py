@@ -12,7 +12,7 @@ import torch
 
 from benchmarks.timing import medians
 from benchmarks.training import Iteration
-from marl_explore.presets import PRESETS
+from marl_explore.training.presets import PRESETS
 
 OPTIONS: dict[str, dict[str, object]] = {
     "float32": {},

@@ -20,9 +20,9 @@ import torch
 import tyro
 
 from marl_explore import cli
-from marl_explore.execution import CollectorKind, RunConfig
-from marl_explore.presets import PRESETS
-from marl_explore.trainer import Trainer
+from marl_explore.config.run import CollectorKind, RunConfig
+from marl_explore.training.presets import PRESETS
+from marl_explore.training.trainer import Trainer
 
 
 @dataclass(frozen=True)

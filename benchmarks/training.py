@@ -7,24 +7,24 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import torch
 
 from benchmarks.timing import medians
-from marl_explore.config import TrainConfig
-from marl_explore.models import OBSERVATION_KEYS
-from marl_explore.presets import PRESETS
-from marl_explore.trainer import Trainer
+from marl_explore.policies.networks import MLP, OBSERVATION_KEYS
+from marl_explore.training.config import TrainConfig
+from marl_explore.training.presets import PRESETS
+from marl_explore.training.trainer import Trainer
 
 Product = tuple[int, int, int]
 
 
-def products(config: TrainConfig, widths: tuple[int, ...], rows: int) -> list[Product]:
+def products(hidden: Sequence[int], widths: tuple[int, ...], rows: int) -> list[Product]:
     """The forward products (rows, inputs, outputs) of an MLP on a batch."""
-    layers = (*widths[:1], *config.hidden, *widths[1:])
+    layers = (*widths[:1], *hidden, *widths[1:])
     return [(rows, a, b) for a, b in pairwise(layers)]
 
 
@@ -37,14 +37,15 @@ def with_gradients(forward: list[Product]) -> list[Product]:
 
 def iteration_products(config: TrainConfig) -> list[Product]:
     """All matrix products of one iteration with MLPs on the joint observation."""
-    arena, batch = config.arena, config.batch_frames
+    assert isinstance(config.network, MLP)
+    arena, batch, hidden = config.arena, config.batch_frames, config.network.hidden
     robots, size = arena.num_agents, arena.observation_size
     actor, critic = (size, 10), (robots * size, 1)
-    acting = products(config, actor, config.num_envs) * config.rollout_steps * robots
-    values = products(config, critic, batch) * 2
-    factors = products(config, actor, batch) * (robots - 1)
-    actors = with_gradients(products(config, actor, batch)) * config.ppo_epochs * robots
-    critics = with_gradients(products(config, critic, batch)) * config.ppo_epochs
+    acting = products(hidden, actor, config.num_envs) * config.rollout_steps * robots
+    values = products(hidden, critic, batch) * 2
+    factors = products(hidden, actor, batch) * (robots - 1)
+    actors = with_gradients(products(hidden, actor, batch)) * config.ppo_epochs * robots
+    critics = with_gradients(products(hidden, critic, batch)) * config.ppo_epochs
     return acting + values + factors + actors + critics
 
 
@@ -100,7 +101,7 @@ def measure(preset: str, repeats: int = 7, **changes: object) -> dict[str, float
         "iteration": iteration,
         "networks while acting": iteration.acting(),
     }
-    if config.architecture == "mlp" and config.critic_reads == "observation":
+    if isinstance(config.network, MLP) and config.critic_input == "observation":
         contenders["bare products"] = multiply(iteration_products(config))
     seconds = medians(contenders, repeats)
     for part, values in iteration.seconds.items():

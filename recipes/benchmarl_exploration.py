@@ -16,10 +16,7 @@ from typing import Literal, get_args
 
 import tyro
 
-from marl_explore import cli
-from marl_explore.config import require_integer
-from marl_explore.runs import new_folder, provenance, write_json
-from marl_explore.tables import number, text
+from marl_explore import records, require_integer, require_package, run_program, tables
 
 Algorithm = Literal["mappo", "ippo", "qmix", "happo"]
 
@@ -64,7 +61,7 @@ SETTINGS = {
 
 def returns(name: Algorithm, arguments: Arguments, folder: Path) -> list[float]:
     """Train one algorithm; the mean return of the episodes that ended in each batch."""
-    from marl_explore.adapters.benchmarl import ExplorationTask, HappoConfig  # isort: skip
+    from marl_explore import ExplorationTask, HappoConfig  # isort: skip
     from benchmarl.algorithms import algorithm_config_registry
     from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models import MlpConfig
@@ -89,20 +86,29 @@ def returns(name: Algorithm, arguments: Arguments, folder: Path) -> list[float]:
 
 def run(arguments: Arguments) -> None:
     """Train every algorithm and print the return of the first and the last tenth of the batches."""
-    cli.require_package("benchmarl", 'docs/happo.md ("In BenchMARL") says how to install it')
+    require_package("benchmarl", 'docs/happo.md ("In BenchMARL") says how to install it')
     warnings.filterwarnings("ignore")  # BenchMARL's, of newer versions of what it builds on
-    folder = new_folder(arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S"))
+    folder = records.new_folder(arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S"))
     tenth = max(1, arguments.iterations // 10)
     results, rows = {}, []
     for name in arguments.algorithms:
         start = time.perf_counter()
         results[name] = curve = returns(name, arguments, folder)
         ends = [sum(part) / tenth for part in (curve[:tenth], curve[-tenth:])]
-        rows.append([name, *map(number, ends), f"{time.perf_counter() - start:.0f}"])
-    write_json(folder / "run.json", {"returns": results, "seed": arguments.seed, **provenance()})
-    print(text(["algorithm", "first", "last", "seconds"], rows))
+        rows.append([name, *map(tables.number, ends), f"{time.perf_counter() - start:.0f}"])
+    records.write_json(
+        folder / "run.json", {"returns": results, "seed": arguments.seed, **records.provenance()}
+    )
+    print(tables.text(["algorithm", "first", "last", "seconds"], rows))
     print(f"BenchMARL's logs: {folder}")
 
 
 if __name__ == "__main__":
-    cli.main(lambda: tyro.cli(Arguments, description=__doc__, config=cli.OPTIONS), run)
+    run_program(
+        lambda: tyro.cli(
+            Arguments,
+            description=__doc__,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
+        ),
+        run,
+    )

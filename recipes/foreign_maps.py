@@ -33,9 +33,7 @@ from torchrl.data import (
 )
 from torchrl.envs import Compose, PettingZooWrapper, Transform, TransformedEnv
 
-from marl_explore import CommunicationNeighbors, FrontierReachability
-from marl_explore.arenas import load_map, suite
-from marl_explore.tables import text
+from marl_explore import CommunicationNeighbors, FrontierReachability, load_map, suite, tables
 
 UNKNOWN, OCCUPIED = -1, 1
 DIRECTIONS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
@@ -180,7 +178,7 @@ def table(grid: Tensor, position: Tensor, fpr: Tensor, net: Tensor) -> str:
             ]
         )
     header = ["robot", "cell", "known", *DIRECTIONS, "nearest", "in range"]
-    return text(header, rows)
+    return tables.text(header, rows)
 
 
 def main(

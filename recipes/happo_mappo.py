@@ -18,23 +18,28 @@ from typing import Any, Protocol
 import torch
 import tyro
 from fitting_networks import make_actor, make_critic
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictSequential
-from torch import Tensor, nn
+from torch import nn
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 from torchrl.modules import PopArtValueNorm
 from torchrl.objectives.multiagent import MAPPOLoss
 
-from marl_explore import HAPPOLoss, cli
-from marl_explore.config import require_integer
-from marl_explore.execution import parse_seeds
-from marl_explore.factor import FactorWatch, factor_statistics
-from marl_explore.finite import require_finite_batch
-from marl_explore.loggers import Loggers
-from marl_explore.plots import training_figure
-from marl_explore.runs import new_folder, provenance, write_json
-from marl_explore.sweeps import summarize_seeds
+from marl_explore import (
+    FactorWatch,
+    HAPPOLoss,
+    Loggers,
+    parse_seeds,
+    plots,
+    records,
+    require_finite_batch,
+    require_integer,
+    require_package,
+    run_program,
+    sequential_update,
+    summarize_seeds,
+)
 
 ALGORITHMS = ("happo", "mappo")
 
@@ -47,7 +52,7 @@ class Settings:
     """Updates of every network, on a batch each."""
     frames: int = 2000
     """Steps of single environments in a batch."""
-    minibatches: int = 1
+    num_minibatches: int = 1
     """Parts of a batch, a gradient step each."""
     epochs: int = 5
     """Passes over a batch."""
@@ -72,7 +77,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        for name in ("updates", "frames", "minibatches", "epochs"):
+        for name in ("updates", "frames", "num_minibatches", "epochs"):
             require_integer(name, getattr(self, name), 1)
         parse_seeds(self.seeds)
 
@@ -94,8 +99,10 @@ class Task(Protocol):
 
 def main(kind: type[Task], about: str | None, package: str, extra: str) -> None:
     """A recipe's program: read its command line, train, draw and print."""
-    cli.main(
-        lambda: tyro.cli(kind, description=about, config=cli.OPTIONS),
+    run_program(
+        lambda: tyro.cli(
+            kind, description=about, config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff)
+        ),
         lambda task: run(task, package, extra),
     )
 
@@ -106,7 +113,7 @@ def run(task: Task, package: str, extra: str) -> None:
     Raises:
         ValueError: saying how to install the package when it is missing.
     """
-    cli.require_package(package, f'pip install ".[{extra}]"')
+    require_package(package, f'pip install ".[{extra}]"')
     compare(task.make_env, task.max_steps, task.train)
 
 
@@ -122,8 +129,8 @@ def compare(make_env: Callable[[int], EnvBase], max_steps: int, settings: Settin
         A folder with ``run.json``, ``curves.png`` and ``happo/seed-0/scalars/*.csv``, ...
     """
     seeds = parse_seeds(settings.seeds)
-    folder = new_folder(settings.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S"))
-    write_json(folder / "run.json", {"settings": _plain(settings), **provenance()})
+    folder = records.new_folder(settings.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S"))
+    records.write_json(folder / "run.json", {"settings": _plain(settings), **records.provenance()})
     runs = {name: [folder / name / f"seed-{seed}" for seed in seeds] for name in ALGORITHMS}
     for name, folders in runs.items():
         for seed, run in zip(seeds, folders, strict=True):
@@ -136,9 +143,11 @@ def compare(make_env: Callable[[int], EnvBase], max_steps: int, settings: Settin
             print(f"{name}, seed {seed}: {time.perf_counter() - start:.0f} s", flush=True)
     curves = {name.upper(): folders for name, folders in runs.items()}
     measures = {"episode_return": "return of an episode"}
-    training_figure(curves, folder / "curves.png", measures, steps="steps of single environments")
+    plots.training_figure(
+        curves, folder / "curves.png", measures, steps="steps of single environments"
+    )
     summary = {name: summarize_seeds(folder / name, seeds) for name in ALGORITHMS}
-    write_json(folder / "summary.json", summary)
+    records.write_json(folder / "summary.json", summary)
     for name, over_seeds in summary.items():
         row = over_seeds["episode_return"]
         print(f"{name}: return {row['mean']:.2f} [{row['low']:.2f}, {row['high']:.2f}]")
@@ -203,27 +212,19 @@ class Learner:
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """One update of every network on a rollout [*B, T]."""
         batch = self.loss.estimate_advantage(batch).reshape(-1)
-        metrics = self._update_in_turn(batch) if self.sequential else self._update_at_once(batch)
+        if self.sequential:
+            metrics = sequential_update(self.loss, batch, self._minibatches, self._step)
+        else:
+            metrics = self._update_at_once(batch)
         for part in self._minibatches(batch):
             output = self.loss.critic_loss(part)
-            self._step("critic", output["loss_critic"])
+            self._step("critic", output.select("loss_critic"))
         return metrics | {key: value.item() for key, value in output.items()}
-
-    def _update_in_turn(self, batch: TensorDictBase) -> dict[str, float]:
-        order = self.loss.update_order()
-        for name in order:
-            for part in self._minibatches(batch):
-                losses = self.loss.actor_loss(part, name)
-                self._step(name, losses["loss_objective"] + losses["loss_entropy"])
-            if name != order[-1]:
-                self.loss.update_factor(batch, name)
-        return factor_statistics(batch.get("factor", torch.ones(1)))  # one agent has none
 
     def _update_at_once(self, batch: TensorDictBase) -> dict[str, float]:
         for part in self._minibatches(batch):
             for name, loss in self.mappo_losses.items():
-                losses = loss(part)
-                self._step(name, losses["loss_objective"] + losses["loss_entropy"])
+                self._step(name, loss(part).select("loss_objective", "loss_entropy"))
         return {}
 
     def _share_reward(self, batch: TensorDictBase) -> dict[str, float]:
@@ -239,15 +240,17 @@ class Learner:
             measures["episode_steps"] = float(after["step_count"][ended].float().mean())
         return measures
 
-    def _minibatches(self, batch: TensorDictBase) -> Iterator[TensorDictBase]:
+    def _minibatches(
+        self, batch: TensorDictBase, keys: list[NestedKey] | None = None
+    ) -> Iterator[TensorDictBase]:
         for _ in range(self.settings.epochs):
-            for rows in torch.randperm(len(batch)).tensor_split(self.settings.minibatches):
+            for rows in torch.randperm(len(batch)).tensor_split(self.settings.num_minibatches):
                 yield batch[rows]
 
-    def _step(self, name: str, loss: Tensor) -> None:
+    def _step(self, name: str, losses: TensorDictBase) -> None:
         optimizer = self.optimizers[name]
         optimizer.zero_grad()
-        loss.backward()
+        sum(losses.values()).backward()
         parameters = optimizer.param_groups[0]["params"]
         norm = self.settings.max_grad_norm
         nn.utils.clip_grad_norm_(parameters, norm, error_if_nonfinite=True)

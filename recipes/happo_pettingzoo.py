@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from happo_mappo import Settings, main
 from torchrl.envs import EnvBase, MarlGroupMapType, PettingZooWrapper
 
-from marl_explore.config import require_integer
+from marl_explore import require_integer
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from happo_mappo import Settings, main
 from torchrl.envs import EnvBase, MarlGroupMapType, VmasEnv
 
-from marl_explore.config import require_integer
+from marl_explore import require_integer
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Arguments:
     """Steps after which an episode is truncated."""
     train: Settings = field(
         default_factory=lambda: Settings(
-            updates=60, frames=6000, minibatches=4, epochs=10, entropy_coeff=0.0
+            updates=60, frames=6000, num_minibatches=4, epochs=10, entropy_coeff=0.0
         )
     )
 

@@ -11,14 +11,18 @@ from __future__ import annotations
 import torch
 import tyro
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
 from torch.optim import Adam, Optimizer
 from torchrl.collectors import Collector
 from torchrl.envs import RewardSum
 
-from marl_explore import ArenaConfig, HAPPOLoss, make_env
-from marl_explore.models import OBSERVATION_KEYS, MLPActor, MLPCritic
-from marl_explore.team import StackedActors, probabilistic_actor
+from marl_explore import (
+    MLP,
+    ArenaConfig,
+    HAPPOLoss,
+    MultiAgentActors,
+    make_env,
+    probabilistic_actor,
+)
 
 ENVS, STEPS, EPOCHS = 32, 50, 5
 
@@ -54,10 +58,9 @@ def main(updates: int = 60) -> float:
 
     # One actor per robot, and one critic that reads what all of them see.
     names = [f"robot_{i}" for i in range(arena.num_agents)]
-    networks = [MLPActor(arena, hidden=(64, 64)) for _ in names]
-    critic = TensorDictModule(
-        MLPCritic(arena, hidden=(64, 64)), in_keys=OBSERVATION_KEYS, out_keys=["state_value"]
-    )
+    network = MLP(hidden=(64, 64))
+    networks = [network.make_actor(arena) for _ in names]
+    critic = network.make_critic(arena, "observation")
     loss = HAPPOLoss(
         actors={n: probabilistic_actor(net) for n, net in zip(names, networks, strict=True)},
         critic=critic,
@@ -72,7 +75,7 @@ def main(updates: int = 60) -> float:
     # The same networks, stacked, act on whole batches.
     collector = Collector(
         env,
-        probabilistic_actor(StackedActors(networks)),
+        probabilistic_actor(MultiAgentActors(networks)),
         frames_per_batch=ENVS * STEPS,
         total_frames=ENVS * STEPS * updates,
         auto_register_policy_transforms=False,

@@ -20,8 +20,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MaskedCategorical, MultiAgentMLP, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
-from marl_explore import ArenaConfig
-from marl_explore.adapters.pettingzoo import parallel_env
+from marl_explore import ArenaConfig, parallel_env
 
 EPISODES, STEPS, EPOCHS = 12, 25, 10
 GROUP = "agents"

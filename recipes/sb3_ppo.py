@@ -18,8 +18,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecMonitor
 from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
 
-from marl_explore import ArenaConfig
-from marl_explore.adapters.pettingzoo import parallel_env
+from marl_explore import ArenaConfig, parallel_env
 
 ARENAS, STEPS = 8, 25
 

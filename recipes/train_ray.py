@@ -7,16 +7,17 @@ python recipes/train_ray.py fast --workers 32 --ray-address auto
 python recipes/train_ray.py resume runs/my-run
 """
 
-from __future__ import annotations
+import sys
 
-from functools import partial
+from marl_explore import run_command
 
-import train
 
-from marl_explore import cli
-from marl_explore.execution import RunConfig
+def words(given: list[str]) -> list[str]:
+    """Of ``marl-explore train``: collected by Ray, with two workers where no number is given."""
+    if given[:1] in ([], ["resume"], ["--help"], ["-h"]):
+        return given
+    return [given[0], "--collector", "ray", "--workers", "2", *given[1:]]
 
-parse = partial(train.parse, "train_ray.py", __doc__, RunConfig(collector="ray", workers=2))
 
 if __name__ == "__main__":
-    cli.main(parse, train.run)
+    run_command("train", words(sys.argv[1:]))

@@ -17,12 +17,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from marl_explore import cli
-from marl_explore.config import ArenaConfig, require_integer
+from marl_explore import ArenaConfig, require_integer, run_program
 
 if TYPE_CHECKING:
-    from marl_explore.planners import Planner
-    from marl_explore.planners.communication import CommunicationRule
+    from marl_explore import CommunicationRule, Planner
 
 MEASURES = (
     "steps_to_95",
@@ -54,19 +52,18 @@ class Arguments:
         require_integer("steps", self.steps, 1)
 
 
-def rules(config: ArenaConfig) -> dict[str, CommunicationRule]:
+def rules() -> dict[str, CommunicationRule]:
     """The rules of communication that are compared, by a name for each."""
     from marl_explore import planners as p
 
-    reach = config.communication_cells
     clocks = (((), 12, 3), ((), 9, 4), ((8,), 14, 3), ((8,), 13, 3), ((7, 11), 15, 2))
     return {
         "never": p.never,
-        **{f"timer {k}": p.PairTimer(k, reach) for k in (4, 5, 6, 8)},
-        **{f"gain {cells}": p.GainThreshold(cells, reach) for cells in (5, 10, 20)},
+        **{f"timer {k}": p.PairTimer(k) for k in (4, 5, 6, 8)},
+        **{f"gain {cells}": p.GainThreshold(cells) for cells in (5, 10, 20)},
         **{
             f"clock {', '.join(map(str, (*early, start)))} + {period} n": p.SharedClock(
-                start, period, reach, early
+                start, period, early
             )
             for early, start, period in clocks
         },
@@ -77,11 +74,11 @@ def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dic
     """From a rule to the settings of every planner that are compared, by a name for each."""
     from marl_explore import planners as p
 
-    share_out = partial(p.FrontierAssignment, range_cells=config.communication_cells)
-
     def auctions(rule: CommunicationRule, by_number: bool) -> dict[str, Planner]:
         return {
-            f"cost {cost}": share_out(rule, assign=p.UtilityCost(cost, by_number=by_number))
+            f"cost {cost}": p.FrontierAssignment(
+                rule, assign=p.UtilityCost(cost, by_number=by_number)
+            )
             for cost in (0.05, 0.1, 0.2)
         }
 
@@ -95,7 +92,7 @@ def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dic
         "fpr-greedy": lambda rule: {"": p.FPRGreedy(rule)},
         "utility-cost": partial(auctions, by_number=False),
         "sequential": partial(auctions, by_number=True),
-        "hungarian": lambda rule: {"": share_out(rule, assign=p.hungarian)},
+        "hungarian": lambda rule: {"": p.FrontierAssignment(rule, assign=p.hungarian)},
         "hedac": lambda rule: {
             f"loss {loss}": p.HEDAC(rule, config, loss) for loss in (0.02, 0.05, 0.2)
         },
@@ -113,7 +110,7 @@ def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dic
 
 def candidates(arguments: Arguments, config: ArenaConfig) -> dict[str, Planner]:
     """The settings of a planner that are compared, by a name for each."""
-    known, settings = rules(config), families(config)
+    known, settings = rules(), families(config)
     if arguments.planner not in settings:
         raise ValueError(f"planner={arguments.planner!r} is not one of {list(settings)}")
     chosen = arguments.rules or (("never",) if arguments.planner in REFERENCES else tuple(known))
@@ -134,8 +131,7 @@ def parse() -> Arguments:
 
 def run(arguments: Arguments) -> None:
     """Evaluate every setting and print a table."""
-    from marl_explore import tables
-    from marl_explore.evaluation import evaluate
+    from marl_explore import evaluate, tables
 
     config = ArenaConfig()
     rows = []
@@ -152,4 +148,4 @@ def run(arguments: Arguments) -> None:
 
 
 if __name__ == "__main__":
-    cli.main(parse, run)
+    run_program(parse, run)

@@ -7,10 +7,11 @@ import torch
 
 from benchmarks import curves, environment, frontier, locks, scaling, training
 from benchmarks.baselines import astar_table, bfs_table
-from marl_explore.config import TrainConfig
 from marl_explore.core.frontier import feature_table
+from marl_explore.policies.networks import MLP
 from marl_explore.robot.agreement import Way, agree
 from marl_explore.robot.messages import Intent
+from marl_explore.training.config import TrainConfig
 
 
 def test_baselines_count_the_same_trajectories():
@@ -48,7 +49,9 @@ def test_the_cost_curves_are_measured_and_drawn(tmp_path):
 
 
 def test_the_training_benchmark_runs():
-    seconds = training.measure("paper-mlp-case2", repeats=2, hidden=(8, 4), rollout_steps=5)
+    seconds = training.measure(
+        "paper-mlp-case2", repeats=2, network=MLP(hidden=(8, 4)), rollout_steps=5
+    )
     parts = seconds["collection"] + seconds["update"]
     assert seconds["bare products"] > 0
     assert 0.5 < parts / seconds["iteration"] < 2
@@ -57,7 +60,12 @@ def test_the_training_benchmark_runs():
 def test_the_bare_products_are_those_of_an_iteration():
     """Against the numbers of multiplications worked out by hand for a small case."""
     config = TrainConfig(
-        hidden=(3, 2), num_envs=2, rollout_steps=2, episode_steps=2, episodes=2, ppo_epochs=1
+        network=MLP(hidden=(3, 2)),
+        num_envs=2,
+        rollout_steps=2,
+        episode_steps=2,
+        episodes=2,
+        ppo_epochs=1,
     )
     actor = 37 * 3 + 3 * 2 + 2 * 10
     critic = 148 * 3 + 3 * 2 + 2 * 1

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import importlib.util
-import re
+import inspect
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
 
 import marl_explore
-from marl_explore.versions import versions
+from marl_explore.cli.main import COMMANDS
+from marl_explore.utils.versions import versions
 
 
 def test_public_names_resolve():
     for name in marl_explore.__all__:
-        assert getattr(marl_explore, name).__name__ == name
+        found = getattr(marl_explore, name)
+        if inspect.isclass(found) or inspect.isfunction(found):
+            assert found.__name__ == name
     assert marl_explore.__version__
     assert set(marl_explore.__all__) <= set(dir(marl_explore))
 
@@ -29,8 +33,10 @@ def test_unknown_names_are_attribute_errors():
 LIGHT = [
     "marl_explore",
     "marl_explore.__main__",
-    "marl_explore.config",
-    "marl_explore.cli",
+    "marl_explore.config.arena",
+    "marl_explore.config.run",
+    "marl_explore.cli.common",
+    "marl_explore.cli.main",
     "marl_explore.robot",
 ]
 
@@ -50,11 +56,12 @@ def command(*arguments):
 def test_it_says_what_there_is_without_torch(arguments):
     said = command(*arguments)
     assert said.returncode == 0, said.stderr
-    assert said.stdout.startswith("usage: python -m marl_explore")
+    assert said.stdout.startswith("usage: marl-explore")
     for name in marl_explore.__all__:
         assert name in said.stdout
-    for module in re.findall(r"marl_explore\.\w+", said.stdout):
-        assert importlib.util.find_spec(module), module
+    for name in COMMANDS:
+        assert f"  {name} " in said.stdout
+        assert importlib.util.find_spec(f"marl_explore.cli.{name}"), name
     assert max(map(len, said.stdout.splitlines())) <= 100
     assert said.stdout.splitlines()[-1] == "False"
 
@@ -72,6 +79,16 @@ def test_an_unknown_flag_is_refused():
     said = command("--verison")
     assert said.returncode == 2
     assert "unrecognized arguments: --verison" in said.stderr
+
+
+def test_an_unknown_command_is_refused():
+    said = command("trian")
+    assert said.returncode == 2
+    assert "invalid choice: 'trian'" in said.stderr
+
+
+def test_the_top_of_the_package_holds_four_modules_at_most():
+    assert len([*Path(marl_explore.__file__).parent.glob("*.py")]) <= 4
 
 
 @pytest.mark.parametrize("module", LIGHT)

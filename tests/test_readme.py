@@ -9,16 +9,20 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import marl_explore
+from marl_explore import FEATURES, NETWORKS, PLANNERS
+from recipes import train_ray
 
 ROOT = Path(__file__).parents[1]
 PAGES = (
     "README.md",
     "docs/adapters.md",
     "docs/api.md",
+    "docs/extending.md",
     "docs/happo.md",
     "docs/planners.md",
     "docs/replay.md",
@@ -41,10 +45,26 @@ def test_there_are_examples():
 @pytest.mark.parametrize(("page", "block"), BLOCKS, ids=range(len(BLOCKS)))
 def test_example(page, block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # examples may write files
-    exec(compile(block, page, "exec"), {})
+    registries = (FEATURES, NETWORKS, PLANNERS)  # and add rows to these
+    before = [dict(registry) for registry in registries]
+    module = ModuleType("example")
+    monkeypatch.setitem(sys.modules, "example", module)
+    try:
+        exec(compile(block, page, "exec"), module.__dict__)
+    finally:
+        for registry, rows in zip(registries, before, strict=True):
+            registry.clear()
+            registry.update(rows)
 
 
 API = re.split(r"^### ", (ROOT / "docs/api.md").read_text(), flags=re.MULTILINE)[1:]
+
+
+EXTRAS = re.search(
+    r"^## Names that need an extra$(.*?)(?=^## |\Z)",
+    (ROOT / "docs/api.md").read_text(),
+    re.MULTILINE | re.DOTALL,
+)
 
 
 def test_every_public_name_has_an_example():
@@ -54,7 +74,10 @@ def test_every_public_name_has_an_example():
         (example,) = re.findall(r"```python\n(.*?)```", rest, re.DOTALL)
         assert not GAP.search(example)
         headed |= dict.fromkeys(re.findall(r"`([\w.]+)`", heading), example)
-    assert {*marl_explore.__all__} <= {*headed}
+    assert EXTRAS is not None
+    tabled = {*re.findall(r"`(\w+)`", EXTRAS[1])} & {*dir(marl_explore)}
+    assert tabled.isdisjoint(headed)
+    assert {*dir(marl_explore)} == {*headed, *tabled, "__version__"}
     for name, example in headed.items():
         assert pkgutil.resolve_name(f"marl_explore.{name}") is not None
         module, _, attribute = name.rpartition(".")
@@ -63,12 +86,16 @@ def test_every_public_name_has_an_example():
 
 SCALING = re.findall(r"```\n(.*?)```", (ROOT / "docs/scaling.md").read_text(), re.DOTALL)
 SCRIPTS = [block for block in SCALING if block.startswith("#!/bin/bash\n")]
-COMMANDS = re.findall(r"^ *(?:exec )?(python recipes/train.*)$", "".join(SCALING), re.MULTILINE)
+COMMANDS = re.findall(
+    r"^ *(?:exec )?((?:marl-explore|python recipes/train_ray.py) .*)$",
+    "".join(SCALING),
+    re.MULTILINE,
+)
 
 
 def test_there_are_scripts_and_commands():
     assert len(SCRIPTS) == 2
-    assert all("exec python recipes/train" in script for script in SCRIPTS)
+    assert all(re.search("exec (marl-explore|python recipes/train_ray)", s) for s in SCRIPTS)
     assert len(COMMANDS) >= 9
 
 
@@ -79,12 +106,12 @@ def test_bash_reads_the_script(script):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_recipe_reads_the_command(command, monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "recipes")
-    _, recipe, *arguments = shlex.split(command, comments=True)
-    monkeypatch.setattr(sys, "argv", [recipe, *arguments])
-    read = importlib.import_module(Path(recipe).stem).parse()
-    if arguments[0] == "resume":
+def test_the_program_reads_the_command(command):
+    program, name, *arguments = shlex.split(command, comments=True)
+    if program == "python":
+        name, arguments = "train", train_ray.words(arguments)
+    read = importlib.import_module(f"marl_explore.cli.{name}").parse(arguments)
+    if "resume" in (name, arguments[0]):
         assert read.folder == Path(arguments[-1])
     elif len(arguments) > 1:  # the last flag arrived
         flag, value = arguments[-2:]

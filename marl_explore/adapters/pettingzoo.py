@@ -14,12 +14,13 @@ from tensordict import TensorDict, TensorDictBase
 
 from marl_explore.adapters.pictures import ascii_picture, rgb_picture
 from marl_explore.arenas import Generator
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.rewards import Reward
-from marl_explore.make import make_env
-from marl_explore.models import OBSERVATION_KEYS, in_a_row
+from marl_explore.envs.factory import make_env
+from marl_explore.policies.networks import OBSERVATION_KEYS
+from marl_explore.policies.networks.inputs import concat_observation
 
 RenderMode = Literal["rgb_array", "ansi"]
 _RENDER_MODES: tuple[RenderMode, ...] = get_args(RenderMode)
@@ -115,7 +116,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
 
     def _observed_space(self) -> spaces.Dict:
         specs = (self._env.observation_spec[key] for key in OBSERVATION_KEYS)
-        high = in_a_row(*(spec.high[0, 0] for spec in specs)).numpy()
+        high = concat_observation(*(spec.high[0, 0] for spec in specs)).numpy()
         numbers = spaces.Box(np.zeros_like(high), high)
         return spaces.Dict(observation=numbers, action_mask=spaces.MultiBinary(NUM_ACTIONS))
 
@@ -225,7 +226,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         return TensorDict({"obstacles": obstacles, "agents": agents}, batch_size=[1])
 
     def _observations(self) -> dict[str, Observation]:
-        numbers = in_a_row(*(self._current[key][0] for key in OBSERVATION_KEYS)).numpy()
+        numbers = concat_observation(*(self._current[key][0] for key in OBSERVATION_KEYS)).numpy()
         masks = self._masks()
         return {
             agent: {"observation": numbers[i], "action_mask": masks[i]}

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from marl_explore.core.grid import UNKNOWN
 from marl_explore.core.mapping import union_of
-from marl_explore.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
+from marl_explore.utils.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
 
 SIDE = 16
 """Pixels of a cell's side."""

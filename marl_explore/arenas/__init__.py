@@ -21,7 +21,7 @@ from marl_explore.arenas.mixed import Mixed
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.suites import Suite, list_suites, suite
 from marl_explore.arenas.uniform import Uniform
-from marl_explore.config import ANY_SIZE, ArenaConfig
+from marl_explore.config.arena import ANY_SIZE, ArenaConfig
 from marl_explore.core.world import check_starts
 
 __all__ = [

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marl_explore.arenas.starts import START_RULES
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.hashing import combine
 
 Generator = Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]

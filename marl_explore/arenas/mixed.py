@@ -13,7 +13,7 @@ from marl_explore.arenas.generator import ArenaGenerator
 from marl_explore.arenas.mazes import Mazes
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.uniform import Uniform
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from marl_explore.arenas.generator import Generator
 from marl_explore.arenas.mazes import Mazes
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.uniform import Uniform
-from marl_explore.config import ANY_SIZE, ArenaConfig
+from marl_explore.config.arena import ANY_SIZE, ArenaConfig
 from marl_explore.core.hashing import stream_seed
 
 _ARENA_FIELDS = ("height", "width", "obstacle_density")

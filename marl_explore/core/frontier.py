@@ -8,16 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.codes import NORMALIZATIONS as NORMALIZATIONS
-from marl_explore.codes import Normalization as Normalization
-from marl_explore.core.grid import (
-    FREE,
-    NUM_DIRECTIONS,
-    OCCUPIED,
-    UNKNOWN,
-    compass,
-    flat_cell,
-)
+from marl_explore.config.constants import NORMALIZATIONS as NORMALIZATIONS
+from marl_explore.config.constants import Normalization as Normalization
+from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN, compass, flat_cell
 from marl_explore.core.wavefront import batch_last, flood, mask
 
 

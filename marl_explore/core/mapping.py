@@ -1,38 +1,22 @@
-"""Sensing, merging and measuring occupancy maps."""
+"""Merging and measuring occupancy maps."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from marl_explore.config import TOLERANCE
+from marl_explore.config.arena import TOLERANCE
 from marl_explore.core.grid import (
     FREE,
     NUM_DIRECTIONS,
     STAY,
     UNKNOWN,
-    UNSEEN,
-    WALL,
     flat_cell,
-    squares,
     with_robots,
 )
 from marl_explore.core.wavefront import batch_last, flood, mask
-
-
-def field_of_view(view: Tensor) -> Tensor:
-    """What each robot's sensor reads: obstacles, other robots and what is unseen are 1.
-
-    Args:
-        view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
-
-    Returns:
-        float32 of the same shape; the own cell is 0.
-    """
-    return view.clamp_max(1).float()
 
 
 def blank_maps(position: Tensor, height: int, width: int) -> Tensor:
@@ -43,51 +27,8 @@ def blank_maps(position: Tensor, height: int, width: int) -> Tensor:
     return grid.unflatten(-1, (height, width))
 
 
-class Sensed(NamedTuple):
-    """Maps after sensing, and what was new."""
-
-    map: Tensor
-    """int8 [*B, N, H, W], a new tensor."""
-    cell: Tensor
-    """Seen cells of the flattened arena, int64 [*B, N, (2k + 1)^2]."""
-    fresh: Tensor
-    """Whether such a cell was unknown, bool."""
-
-    @property
-    def discovered(self) -> Tensor:
-        """Cells that were new to each robot's map, int64 [*B, N]."""
-        return self.fresh.sum(-1)
-
-    def discovered_of(self, target: Tensor) -> Tensor:
-        """New cells among those of a mask bool [*B, H, W], int64 [*B, N]."""
-        chosen = target.flatten(-2).gather(-1, self.cell.flatten(-2)).view(self.cell.shape)
-        return (self.fresh & chosen).sum(-1)
-
-
-def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False) -> Sensed:
-    """Maps with what each robot sees around it written in.
-
-    Args:
-        grid: maps that know the robots' own cells, int8 [*B, N, H, W].
-        view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
-        position: int64 [*B, N, 2].
-        occlusion: whether cells on the grid may be hidden.
-    """
-    # what cannot be seen is written as the own cell once more, which is known and no wall
-    height, width = grid.shape[-2:]
-    own = flat_cell(position, width)
-    cells = squares(height, width, view.shape[-1] // 2, view.device)
-    view = view.flatten(-2)
-    cell = cells.index_select(0, own.flatten()).view(view.shape)
-    if occlusion:
-        cell = torch.where(view == UNSEEN, own.unsqueeze(-1), cell)
-    known = grid.flatten(-2)
-    fresh = known.gather(-1, cell) == UNKNOWN
-    return Sensed(known.scatter(-1, cell, view & WALL).view(grid.shape), cell, fresh)
-
-
 def closed_diagonals(wall: Tensor) -> Tensor:
-    """Diagonals between two walls [*B, N, 9], of the walls ``grid.beside`` [*B, N, 9].
+    """Diagonals between two walls [*B, N, 9], of the walls ``sensing.beside`` [*B, N, 9].
 
     Both bool, or int8 of 0 and 1.
     """
@@ -118,7 +59,7 @@ def merge(known: Tensor, network: Tensor) -> Tensor:
 
     Args:
         known: ``known_mask`` of the maps, float32 [*B, N, H, W].
-        network: bool [*B, N, N], whether i and j are in one network (see ``radio.networks``).
+        network: bool [*B, N, N], whether i and j are in one network (``communication.networks``).
 
     Returns:
         float32 [*B, N, H, W] of 0 and 1.

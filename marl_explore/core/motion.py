@@ -7,17 +7,10 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import (
-    NUM_DIRECTIONS,
-    OPEN,
-    STAY,
-    WALL,
-    action_offsets,
-    beside,
-    flat_cell,
-)
+from marl_explore.core.grid import NUM_DIRECTIONS, STAY, action_offsets, flat_cell
+from marl_explore.core.links import any_linked
 from marl_explore.core.mapping import closed_diagonals
-from marl_explore.core.radio import has_neighbor
+from marl_explore.core.sensing import OPEN, WALL, beside
 
 
 def open_moves(view: Tensor) -> Tensor:
@@ -27,23 +20,23 @@ def open_moves(view: Tensor) -> Tensor:
     diagonal between two obstacles. The ninth, to stay, always is.
 
     Args:
-        view: ``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
+        view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
     """
     cells = beside(view)
     return (cells | closed_diagonals(cells & WALL)) == OPEN
 
 
-def action_mask(open_moves: Tensor, reach: Tensor) -> Tensor:
-    """Allowed actions: open moves, always stay, communicate beside another robot in range.
+def action_mask(open_moves: Tensor, linked: Tensor) -> Tensor:
+    """Allowed actions: open moves, always stay, communicate when linked to another robot.
 
     Args:
         open_moves: bool [*B, N, 9].
-        reach: bool [*B, N, N], pairs in range.
+        linked: ``links.links``, bool [*B, N, N].
 
     Returns:
         bool [*B, N, 10].
     """
-    return torch.cat((open_moves, has_neighbor(reach).unsqueeze(-1)), -1)
+    return torch.cat((open_moves, any_linked(linked).unsqueeze(-1)), -1)
 
 
 def random_allowed(mask: Tensor) -> Tensor:

@@ -7,16 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.codes import NEVER as NEVER
-from marl_explore.config import ArenaConfig
-from marl_explore.core.grid import (
-    COMMUNICATE,
-    UNKNOWN,
-    bordered,
-    other_robots,
-    surroundings,
-    with_robots,
-)
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import NEVER as NEVER
+from marl_explore.core.communication import networks
+from marl_explore.core.grid import COMMUNICATE, UNKNOWN, other_robots, with_robots
+from marl_explore.core.links import links
 from marl_explore.core.mapping import (
     blank_maps,
     draw,
@@ -24,12 +19,11 @@ from marl_explore.core.mapping import (
     known_mask,
     known_targets,
     merge,
-    sense,
     target_cells,
 )
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
-from marl_explore.core.radio import in_range, networks
 from marl_explore.core.rewards import StepRecord
+from marl_explore.core.sensing import bordered, sense, surroundings
 
 
 class WorldState(NamedTuple):
@@ -38,7 +32,7 @@ class WorldState(NamedTuple):
     obstacles: Tensor
     """Static obstacles, bool [*B, H, W]."""
     walls: Tensor
-    """``grid.bordered`` obstacles, int8 [*B, H + 2k, W + 2k]."""
+    """``sensing.bordered`` obstacles, int8 [*B, H + 2k, W + 2k]."""
     target: Tensor
     """Cells to be mapped, bool [*B, H, W]; follows from obstacles and positions."""
     map: Tensor
@@ -52,9 +46,11 @@ class WorldState(NamedTuple):
     step_count: Tensor
     """Steps of the episode so far, int64 [*B, 1]."""
     view: Tensor
-    """``grid.surroundings``, int8 [*B, N, 2k + 1, 2k + 1]; follows from obstacles, positions."""
+    """``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1]; follows from obstacles, positions."""
+    linked: Tensor
+    """``links.links``, bool [*B, N, N]; follows from positions."""
     action_mask: Tensor
-    """Allowed actions, bool [*B, N, 10]; follows from obstacles and positions."""
+    """Allowed actions, bool [*B, N, 10]; follows from obstacles, positions and links."""
     known: Tensor
     """Number of known cells of each map, int64 [*B, N]; follows from the maps."""
     missing: Tensor
@@ -99,6 +95,7 @@ def resume(
     """State of an episode under way, from all that does not follow from something else."""
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
+    linked = links(config, position, obstacles)
     known, target = known_mask(map), target_cells(obstacles, position)
     return WorldState(
         obstacles=obstacles,
@@ -110,7 +107,8 @@ def resume(
         steps_since_merge=steps_since_merge,
         step_count=step_count,
         view=view,
-        action_mask=action_mask(open_moves(view), in_range(position, config.communication_cells)),
+        linked=linked,
+        action_mask=action_mask(open_moves(view), linked),
         known=known_cells(known),
         missing=num_targets(target).unsqueeze(-1) - known_targets(known, target),
     )
@@ -133,8 +131,8 @@ def advance(
     position = move(state.position, action, dangerous)
     view = surroundings(state.walls, position, config.fov_radius, config.occlusion)
     sensed = sense(state.map, view, position, config.occlusion)
-    reach = in_range(position, config.communication_cells)
-    exchanged = _exchange(sensed.map, state, reach, action)
+    linked = links(config, position, state.obstacles)
+    exchanged = _exchange(sensed.map, state, linked, action)
     network = exchanged.network
 
     discovered = sensed.discovered
@@ -151,7 +149,8 @@ def advance(
         steps_since_merge=waited.masked_fill_(network, 0),
         step_count=state.step_count + 1,
         view=view,
-        action_mask=action_mask(open_moves(view), reach),
+        linked=linked,
+        action_mask=action_mask(open_moves(view), linked),
         known=known,
         missing=missing,
     )
@@ -179,12 +178,12 @@ class _Exchanged(NamedTuple):
     """Those to be mapped among them, int64 [*B, N]."""
 
 
-def _exchange(grid: Tensor, state: WorldState, reach: Tensor, action: Tensor) -> _Exchanged:
+def _exchange(grid: Tensor, state: WorldState, linked: Tensor, action: Tensor) -> _Exchanged:
     """Merge the maps [*B, N, H, W] of robots that communicate, in place; what that brought."""
     robots, *size = grid.shape[-3:]
     communicating = (action == COMMUNICATE).reshape(-1, robots)
     result = _Exchanged(
-        torch.zeros_like(reach), torch.zeros_like(state.known), torch.zeros_like(state.known)
+        torch.zeros_like(linked), torch.zeros_like(state.known), torch.zeros_like(state.known)
     )
     rows = _arenas_to_merge(communicating)
     if len(rows) == 0:
@@ -193,7 +192,7 @@ def _exchange(grid: Tensor, state: WorldState, reach: Tensor, action: Tensor) ->
     def at_rows(part: Tensor, *shape: int) -> Tensor:  # several times faster than part[rows]
         return part.reshape(-1, *shape).index_select(0, rows)
 
-    network = networks(at_rows(reach, robots, robots), at_rows(communicating, robots))
+    network = networks(at_rows(linked, robots, robots), at_rows(communicating, robots))
     before = known_mask(at_rows(grid, robots, *size))
     after = merge(before, network)
     maps = draw(after, at_rows(state.obstacles, *size))

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from marl_explore import metrics
-from marl_explore.codes import NUM_DIRECTIONS, UNKNOWN
-from marl_explore.config import ArenaConfig
-from marl_explore.core.grid import bordered, surroundings
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import NUM_DIRECTIONS, UNKNOWN
+from marl_explore.core.links import links
 from marl_explore.core.mapping import target_cells
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
-from marl_explore.core.radio import in_range
+from marl_explore.core.sensing import bordered, surroundings
+from marl_explore.evaluation import metrics
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class LabRecord:
         walls = bordered(self.obstacles, config.fov_radius).unsqueeze(1)
         walls = walls.expand(-1, before.shape[1], -1, -1)
         view = surroundings(walls, before, config.fov_radius, config.occlusion)
-        reach = in_range(before, config.communication_cells)
-        allowed = action_mask(open_moves(view), reach)
+        linked = links(config, before, self.obstacles)
+        allowed = action_mask(open_moves(view), linked)
         refused = dangerous_moves(allowed, before, self.actions)
         expected = move(before, self.actions, refused)
         return (expected != self.cells[:, 1:]).any(-1)

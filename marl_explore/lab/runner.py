@@ -13,16 +13,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from marl_explore.codes import Normalization
-from marl_explore.config import ArenaConfig, require_integer
-from marl_explore.export import export_npz
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require_integer
+from marl_explore.config.constants import Normalization
 from marl_explore.lab.measures import LabRecord
 from marl_explore.lab.world import LabWorld, Noise
-from marl_explore.policies import Policy
-from marl_explore.robot import BarrierClock, ExportedPolicy, Pose, RobotCore, Scan, Settings
-from marl_explore.robot import core as robot_core
+from marl_explore.policies.export import export_npz
+from marl_explore.policies.policy import Policy
+from marl_explore.robot import (
+    BarrierClock,
+    ExportedPolicy,
+    Pose,
+    RobotCore,
+    RobotSettings,
+    Scan,
+    runtime,
+)
 
-MakePolicy = Callable[[int, int], robot_core.Policy]
+MakePolicy = Callable[[int, int], runtime.Policy]
 """The policy of a robot: (arena, robot) -> (``Observation`` -> action)."""
 _MOST_SECONDS = 300.0  # of one step; robots give up much earlier
 
@@ -37,7 +45,7 @@ def exported_policies(policy: Policy, sample: bool = True, seed: int = 0) -> Mak
     """
     with tempfile.TemporaryDirectory() as folder:
         path = export_npz(policy, Path(folder) / "policy.npz")
-        robots = policy.spec.arena.num_agents
+        robots = policy.config.arena.num_agents
         actors = [ExportedPolicy(path, robot, sample, seed) for robot in range(robots)]
     return lambda arena, robot: actors[robot].with_seed([seed, arena, robot])
 
@@ -68,13 +76,13 @@ class LabRunner:
         seed: int = 0,
     ) -> None:
         if isinstance(policy, Policy):
-            config, fpr = config or policy.spec.arena, policy.spec.fpr
+            config, fpr = config or policy.config.arena, policy.config.fpr
             policy = exported_policies(policy, seed=seed)
         self.config = config or ArenaConfig()
         self.world = LabWorld(self.config, arenas, noise, seed)
         robots = range(self.config.num_agents)
         # the lidar turns once per step: its scan may be as old as that
-        settings = Settings(max_scan_age=math.inf)
+        settings = RobotSettings(max_scan_age=math.inf)
         self.teams = [
             [
                 RobotCore(i, self.config, policy(arena, i), BarrierClock(robots), fpr, settings)

@@ -13,7 +13,7 @@ from vmas.simulator.scenario import BaseScenario
 from vmas.simulator.sensors import Lidar
 from vmas.simulator.utils import Color
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 
 if TYPE_CHECKING:
     from vmas.simulator.rendering import Geom

@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marl_explore.config import ArenaConfig, require_not_negative
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require_not_negative
 from marl_explore.core.world import check_starts
 
 Floats = NDArray[np.floating]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from tensordict.nn import TensorDictModuleBase
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.planners.assignment import FrontierAssignment, UtilityCost, hungarian
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
@@ -21,29 +21,16 @@ from marl_explore.planners.random import RandomWalk
 from marl_explore.planners.references import Central, Clairvoyant, counting_bound
 from marl_explore.planners.rendezvous import Rendezvous
 
-
-def _timer(config: ArenaConfig, steps: int) -> PairTimer:
-    return PairTimer(steps, config.communication_cells)
-
-
-def _assignment(config: ArenaConfig, assign: UtilityCost, steps: int) -> FrontierAssignment:
-    return FrontierAssignment(_timer(config, steps), config.communication_cells, assign)
-
-
 PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "random": lambda config: RandomWalk(),
     "nearest": lambda config: NearestFrontier(never),
-    "nearest-timer": lambda config: NearestFrontier(_timer(config, 6)),
-    "fpr-greedy": lambda config: FPRGreedy(_timer(config, 5)),
-    "utility-cost": lambda config: _assignment(config, UtilityCost(0.1), 6),
-    "sequential": lambda config: _assignment(config, UtilityCost(0.1, by_number=True), 5),
-    "hungarian": lambda config: FrontierAssignment(
-        _timer(config, 5), config.communication_cells, hungarian
-    ),
-    "hedac": lambda config: HEDAC(_timer(config, 5), config),
-    "rendezvous": lambda config: Rendezvous(
-        config, SharedClock(14, 3, config.communication_cells, early=(8,)), memory_steps=3
-    ),
+    "nearest-timer": lambda config: NearestFrontier(PairTimer(6)),
+    "fpr-greedy": lambda config: FPRGreedy(PairTimer(5)),
+    "utility-cost": lambda config: FrontierAssignment(PairTimer(6), UtilityCost(0.1)),
+    "sequential": lambda config: FrontierAssignment(PairTimer(5), UtilityCost(0.1, by_number=True)),
+    "hungarian": lambda config: FrontierAssignment(PairTimer(5), hungarian),
+    "hedac": lambda config: HEDAC(PairTimer(5), config),
+    "rendezvous": lambda config: Rendezvous(config, SharedClock(14, 3, early=(8,)), memory_steps=3),
     "central": Central,
     "clairvoyant": Clairvoyant,
 }

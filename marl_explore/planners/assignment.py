@@ -13,7 +13,6 @@ from torch import Tensor
 
 from marl_explore.core.frontier import frontier_mask, paths
 from marl_explore.core.grid import OCCUPIED, STAY, flat_cell, straight_distances
-from marl_explore.core.radio import in_range
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import CommunicationRule
 
@@ -96,21 +95,18 @@ class FrontierAssignment(Planner):
 
     Args:
         communicate: when a robot communicates.
-        range_cells: communication range (cells).
         assign: how frontiers are shared out.
     """
 
-    def __init__(
-        self, communicate: CommunicationRule, range_cells: float, assign: Assignment
-    ) -> None:
+    def __init__(self, communicate: CommunicationRule, assign: Assignment) -> None:
         super().__init__(communicate)
-        self.range_cells = range_cells
         self.assign = assign
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """First move to the robot's frontier, or STAY where it can reach none, int64 [*B, N]."""
         grid = tensordict.get(("agents", "map"))
         position = tensordict.get(("agents", "position"))
+        linked = tensordict.get(("agents", "linked"))
         *batch, robots, height, width = grid.shape
         grid, position = grid.view(-1, robots, height, width), position.view(-1, robots, 2)
         me = torch.arange(robots, device=grid.device).expand(len(grid), -1)
@@ -128,7 +124,7 @@ class FrontierAssignment(Planner):
         reachable = (frontier_mask(grid) & (own > 0)).flatten(-2)
         auction = Auction(
             me=me.flatten(),
-            present=in_range(position, self.range_cells).flatten(0, 1),
+            present=linked.reshape(-1, robots),
             frontier=reachable.flatten(0, 1),
             distance=distance.flatten(0, 1),
             width=width,

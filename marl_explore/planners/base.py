@@ -35,6 +35,7 @@ class Planner(TensorDictModuleBase):
                 "merged",
                 "steps_since_merge",
                 "unshared",
+                "linked",
             )
         ),
     ]

@@ -16,7 +16,7 @@ from torch import Tensor
 from marl_explore.core.grid import NUM_DIRECTIONS, STAY, flat_cell
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.wavefront import path_distances
-from marl_explore.planners.board import Board, board, codes
+from marl_explore.planners.grid_tables import GridTables, cell_hashes, grid_tables
 
 _MOVES = NUM_DIRECTIONS + 1  # and STAY
 _HIDDEN = torch.iinfo(torch.int16).max
@@ -60,7 +60,7 @@ class Plans(NamedTuple):
 class Problem(NamedTuple):
     """What M problems are about."""
 
-    board: Board
+    tables: GridTables
     occupied: Tensor
     """Known obstacles, bool [M, C]."""
     target: Tensor
@@ -131,7 +131,7 @@ class BeamSearch:
     ) -> tuple[Tensor, Tensor]:
         """``first_moves`` of teams of which every robot takes part."""
         height, width = unknown.shape[-2:]
-        tables = board(height, width, radius, unknown.device)
+        tables = grid_tables(height, width, radius, unknown.device)
         target, share = _targets(unknown.flatten(1))
         distance = path_distances(~occupied, target, LONGEST).short().contiguous()
         problem = Problem(tables, occupied.flatten(1), target, share, distance)
@@ -150,7 +150,7 @@ class BeamSearch:
         self, problem: Problem, plans: Plans, robot: int, weight: float
     ) -> tuple[Plans, Tensor]:
         """The best plans after one robot's move, and that move, int64 [M, K]."""
-        target = problem.board.near[plans.cell[..., robot]]
+        target = problem.tables.near[plans.cell[..., robot]]
         new, new_code = _new(problem, plans, robot)
         # cells about to be seen are taken to be one move away
         remote = _remoteness(problem, plans, robot, target) - new
@@ -165,7 +165,7 @@ class BeamSearch:
         plans = plans.of(best // _MOVES)
         cell = target.flatten(1).gather(1, best)
         plans.cell[..., robot] = cell
-        plans.unknown.scatter_(-1, problem.board.seen[cell], 0)
+        plans.unknown.scatter_(-1, problem.tables.seen[cell], 0)
         return plans._replace(
             code=code.flatten(1).gather(1, best),
             seen=seen.flatten(1).gather(1, best).masked_fill(best_value == -torch.inf, -torch.inf),
@@ -197,18 +197,18 @@ def _start(unknown: Tensor, cell: Tensor) -> Plans:
 
 def _new(problem: Problem, plans: Plans, robot: int) -> tuple[Tensor, Tensor]:
     """Cells that each move of a robot would see first, float32 [M, K, 9], and their hash, int64."""
-    around = problem.board.around[plans.cell[..., robot]]
+    around = problem.tables.around[plans.cell[..., robot]]
     unknown = plans.unknown.gather(-1, around).clamp_max_(1).double()
-    code = codes(0, plans.unknown.shape[-1], around.device)[around]
-    number, code = torch.stack((unknown, unknown * code)) @ problem.board.views
+    code = cell_hashes(0, plans.unknown.shape[-1], around.device)[around]
+    number, code = torch.stack((unknown, unknown * code)) @ problem.tables.views
     return number.float(), code.long()
 
 
 def _open_moves(problem: Problem, plans: Plans, robot: int, target: Tensor) -> Tensor:
     """Moves that no obstacle and no other robot's move of the plan makes dangerous, [M, K, 9]."""
-    own, place = plans.cell[..., robot], problem.board.place
+    own, place = plans.cell[..., robot], problem.tables.place
     occupied = problem.occupied.gather(1, target.flatten(1)).view(target.shape)
-    occupied |= ~problem.board.inside[own]
+    occupied |= ~problem.tables.inside[own]
     occupied |= closed_diagonals(occupied)
     middle = place[own].unsqueeze(-1) + place[target]
     for other in range(plans.cell.shape[-1]):
@@ -245,10 +245,10 @@ def _places(plans: Plans, robot: int, target: Tensor) -> Tensor:
     robots, cells = plans.cell.shape[-1], plans.unknown.shape[-1]
     code = torch.zeros_like(plans.code)
     for other in range(robots):
-        code = code + codes(1 + other, cells, code.device)[plans.before[..., other]]
+        code = code + cell_hashes(1 + other, cells, code.device)[plans.before[..., other]]
         if other != robot:
-            code += codes(1 + robots + other, cells, code.device)[plans.cell[..., other]]
-    return code.unsqueeze(-1) + codes(1 + robots + robot, cells, code.device)[target]
+            code += cell_hashes(1 + robots + other, cells, code.device)[plans.cell[..., other]]
+    return code.unsqueeze(-1) + cell_hashes(1 + robots + robot, cells, code.device)[target]
 
 
 def _once(value: Tensor, code: Tensor) -> Tensor:

@@ -9,8 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from marl_explore.core.grid import other_robots
-from marl_explore.core.radio import in_range
+from marl_explore.core.links import linked_others
 
 CommunicationRule = Callable[[TensorDictBase], Tensor]
 
@@ -20,11 +19,9 @@ def never(tensordict: TensorDictBase) -> Tensor:
     return torch.zeros_like(tensordict.get(("agents", "merged")))
 
 
-def others_in_range(tensordict: TensorDictBase, range_cells: float) -> Tensor:
-    """Pairs of different robots in range, bool [*B, N, N]."""
-    position = tensordict.get(("agents", "position"))
-    others = other_robots(position.shape[-2], position.device).bool()
-    return in_range(position, range_cells) & others
+def others_linked(tensordict: TensorDictBase) -> Tensor:
+    """Linked pairs of different robots, bool [*B, N, N]."""
+    return linked_others(tensordict.get(("agents", "linked")))
 
 
 @dataclass(frozen=True)
@@ -35,12 +32,11 @@ class PairTimer:
     """
 
     steps: int
-    range_cells: float
 
     def __call__(self, tensordict: TensorDictBase) -> Tensor:
         """Who communicates, bool [*B, N]."""
         overdue = tensordict.get(("agents", "steps_since_merge")) >= self.steps
-        return (overdue & others_in_range(tensordict, self.range_cells)).any(-1)
+        return (overdue & others_linked(tensordict)).any(-1)
 
 
 @dataclass(frozen=True)
@@ -50,13 +46,11 @@ class SharedClock:
     Args:
         start: first of the regular times (steps).
         period: steps from one to the next.
-        range_cells: communication range (cells).
         early: further times before them (steps).
     """
 
     start: int
     period: int
-    range_cells: float
     early: tuple[int, ...] = ()
 
     def __call__(self, tensordict: TensorDictBase) -> Tensor:
@@ -65,7 +59,7 @@ class SharedClock:
         due = (now >= self.start) & ((now - self.start) % self.period == 0)
         for time in self.early:
             due = due | (now == time)
-        return due & others_in_range(tensordict, self.range_cells).any(-1)
+        return due & others_linked(tensordict).any(-1)
 
 
 @dataclass(frozen=True)
@@ -76,9 +70,8 @@ class GainThreshold:
     """
 
     cells: int
-    range_cells: float
 
     def __call__(self, tensordict: TensorDictBase) -> Tensor:
         """Who communicates, bool [*B, N]."""
         much = tensordict.get(("agents", "unshared")) >= self.cells
-        return (much & others_in_range(tensordict, self.range_cells)).any(-1)
+        return (much & others_linked(tensordict)).any(-1)

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import frontier_mask
 from marl_explore.core.grid import (
     NUM_DIRECTIONS,
@@ -19,9 +19,8 @@ from marl_explore.core.grid import (
     UNKNOWN,
     compass,
     flat_cell,
-    other_robots,
 )
-from marl_explore.core.radio import in_range
+from marl_explore.core.links import linked_others
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import CommunicationRule
 
@@ -47,14 +46,14 @@ class HEDAC(Planner):
         sweeps: int | None = None,
     ) -> None:
         super().__init__(communicate)
-        self.range_cells = config.communication_cells
         self.loss = loss
         self.sweeps = sweeps or 2 * (config.height + config.width)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """The open move to the hottest cell, or STAY when all is known, int64 [*B, N]."""
-        grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
-        heat = self.heat(grid, position).flatten(-2)
+        keys = ("map", "position", "linked")
+        grid, position, linked = (tensordict.get(("agents", key)) for key in keys)
+        heat = self.heat(grid, position, linked).flatten(-2)
         cell = flat_cell(position.unsqueeze(-2) + compass(grid.device), grid.shape[-1])
         around = heat.gather(-1, cell.clamp(0, heat.shape[-1] - 1))  # off the grid no move is open
         mask = tensordict.get(("agents", "action_mask"))[..., :NUM_DIRECTIONS]
@@ -62,12 +61,12 @@ class HEDAC(Planner):
         left = frontier_mask(grid).flatten(-2).any(-1)
         return torch.where(left & mask.any(-1), move, STAY)
 
-    def heat(self, grid: Tensor, position: Tensor) -> Tensor:
+    def heat(self, grid: Tensor, position: Tensor, linked: Tensor) -> Tensor:
         """The heat of every robot's map, float32 [*B, N, H, W]."""
         *batch, robots, height, width = grid.shape
         source = (grid == UNKNOWN).float().view(-1, 1, height, width)
         conducts = (grid != OCCUPIED).float().view(-1, 1, height, width)
-        others = in_range(position, self.range_cells) & other_robots(robots, grid.device).bool()
+        others = linked_others(linked)
         cold = torch.zeros_like(grid).flatten(-2)
         cell = flat_cell(position, width).unsqueeze(-2).expand(*batch, robots, robots)
         cold.scatter_add_(-1, cell, others.to(grid.dtype))

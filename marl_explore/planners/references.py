@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import nearest_frontier
 from marl_explore.core.grid import OCCUPIED, STAY, UNKNOWN
 from marl_explore.core.mapping import known_mask, target_cells, union_of

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import frontier_mask, nearest_frontier, paths
 from marl_explore.core.grid import (
     COMMUNICATE,
@@ -16,8 +16,8 @@ from marl_explore.core.grid import (
     flat_cell,
     straight_distances,
 )
+from marl_explore.core.links import any_linked
 from marl_explore.core.mapping import target_cells
-from marl_explore.core.radio import in_range
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import CommunicationRule
@@ -56,7 +56,6 @@ class Rendezvous(Planner):
         answer: bool = True,
     ) -> None:
         super().__init__(communicate)
-        self.range_cells = config.communication_cells
         self.radius = config.fov_radius
         self.search = search or BeamSearch()
         self.memory_steps = memory_steps
@@ -68,18 +67,18 @@ class Rendezvous(Planner):
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """Own part of the joint plan, int64 [*B, N]."""
         batch = tensordict.get("step_count").shape[:-1]
-        now, grid, position, since = (
+        now, grid, position, since, linked = (
             tensordict.get(key).reshape(-1, *tensordict.get(key).shape[len(batch) :])
             for key in (
                 "step_count",
                 ("agents", "map"),
                 ("agents", "position"),
                 ("agents", "steps_since_merge"),
+                ("agents", "linked"),
             )
         )
-        reach = in_range(position, self.range_cells)
-        seen = self._remember(now, grid, position, reach)
-        near = reach.sum(-1) > 1
+        seen = self._remember(now, grid, position, linked)
+        near = any_linked(linked)
         complete = ~frontier_mask(grid).flatten(-2).any(-1)
         unknown = _worth_seeing(grid, position, ~complete) & ~seen.covered
         left = unknown.flatten(-2).any(-1)
@@ -106,12 +105,12 @@ class Rendezvous(Planner):
             move = move.masked_fill((seen.waited & (since >= 2)).any(-1), COMMUNICATE)
         return move.view(*batch, -1)
 
-    def _remember(self, now: Tensor, grid: Tensor, position: Tensor, reach: Tensor) -> Sightings:
+    def _remember(self, now: Tensor, grid: Tensor, position: Tensor, linked: Tensor) -> Sightings:
         seen = self._sightings
         if seen is None or seen.covered.shape != grid.shape or seen.covered.device != grid.device:
             seen = self._sightings = Sightings(grid)
             self._idle = torch.zeros_like(position[..., 0])
-        seen.update(now, position, reach, self.radius)
+        seen.update(now, position, linked, self.radius)
         return seen
 
     def _joint_plan(

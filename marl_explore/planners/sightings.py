@@ -5,9 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import other_robots, straight_distances
+from marl_explore.core.links import linked_others
+from marl_explore.core.sensing import in_view
 
-NEVER = -1_000_000
+NOT_SEEN = -1_000_000
 """The step of a sighting that never was."""
 
 
@@ -21,7 +22,7 @@ class Sightings:
     """
 
     step: Tensor
-    """When i last had j in range, int64 [B, N, N]; NEVER before, and for j = i."""
+    """When i last had j in range, int64 [B, N, N]; NOT_SEEN before, and for j = i."""
     cell: Tensor
     """Where j was then, int64 [B, N, N, 2]."""
     waited: Tensor
@@ -32,30 +33,31 @@ class Sightings:
     def __init__(self, grid: Tensor) -> None:
         batch, robots, height, width = grid.shape
         pairs, device = (batch, robots, robots), grid.device
-        self.step = torch.full(pairs, NEVER, device=device)
+        self.step = torch.full(pairs, NOT_SEEN, device=device)
         self.cell = torch.zeros(*pairs, 2, dtype=torch.int64, device=device)
         self.waited = torch.zeros(pairs, dtype=torch.bool, device=device)
         self.covered = torch.zeros(batch, robots, height, width, dtype=torch.bool, device=device)
 
-    def update(self, now: Tensor, position: Tensor, reach: Tensor, radius: int) -> None:
+    def update(self, now: Tensor, position: Tensor, linked: Tensor, radius: int) -> None:
         """Take in one observation.
 
         Args:
             now: step of the episode, int64 [B, 1].
             position: int64 [B, N, 2].
-            reach: pairs in range, bool [B, N, N].
+            linked: bool [B, N, N].
             radius: half side of the field of view (cells).
         """
         begun = now == 0
-        self.step = self.step.masked_fill(begun.unsqueeze(-1), NEVER)
+        self.step = self.step.masked_fill(begun.unsqueeze(-1), NOT_SEEN)
         self.covered = self.covered & ~begun[..., None, None]
-        others = reach & other_robots(position.shape[-2], position.device).bool()
+        others = linked_others(linked)
         place = position.unsqueeze(1).expand_as(self.cell)
         again = (self.step == now.unsqueeze(-1) - 1) & (self.cell == place).all(-1)
         self.waited = others & again
         self.cell = torch.where(others.unsqueeze(-1), place, self.cell)
         self.step = torch.where(others, now.unsqueeze(-1), self.step)
-        views = (straight_distances(position, *self.covered.shape[-2:]) <= radius).float()
+        height, width = self.covered.shape[-2:]
+        views = in_view(position, height, width, radius).float()
         seen = torch.einsum("bij,bjc->bic", others.float(), views.flatten(-2)) > 0
         self.covered = self.covered | seen.view_as(self.covered)
 

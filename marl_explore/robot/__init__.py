@@ -7,11 +7,11 @@ a node around it (ROS 2, a simulator) carries them. docs/robots.md tells frames,
 from __future__ import annotations
 
 from marl_explore.robot.clock import BarrierClock, PeriodClock
-from marl_explore.robot.core import RobotCore
 from marl_explore.robot.messages import Envelope, Pose, Scan, decode
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.policy import ExportedPolicy
-from marl_explore.robot.settings import Settings
+from marl_explore.robot.runtime import RobotCore
+from marl_explore.robot.settings import RobotSettings
 
 __all__ = [
     "BarrierClock",
@@ -21,7 +21,7 @@ __all__ = [
     "PeriodClock",
     "Pose",
     "RobotCore",
+    "RobotSettings",
     "Scan",
-    "Settings",
     "decode",
 ]

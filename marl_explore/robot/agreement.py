@@ -12,8 +12,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from marl_explore.codes import COMPASS, STAY
-from marl_explore.robot.geometry import Cell
+from marl_explore.config.constants import COMPASS, STAY
+from marl_explore.robot.geometry import GridCell
 from marl_explore.robot.messages import Intent
 
 
@@ -21,7 +21,7 @@ from marl_explore.robot.messages import Intent
 class Way:
     """Where a robot is to go in one tick."""
 
-    cells: tuple[Cell, ...]
+    cells: tuple[GridCell, ...]
     """One after the other; none: it stays."""
     after: frozenset[int] = field(default_factory=frozenset)
     """Robots that must have arrived before it starts."""
@@ -42,7 +42,7 @@ def agree(intents: Mapping[int, Intent]) -> dict[int, Way]:
         refused.add(ways.stuck)
 
 
-def target(intent: Intent) -> Cell:
+def target(intent: Intent) -> GridCell:
     """The cell that an action leads to."""
     if intent.action >= STAY:
         return intent.cell
@@ -75,7 +75,7 @@ class _Locks:
     def __init__(self, intents: Mapping[int, Intent], refused: set[int]) -> None:
         self.intents, self.refused = intents, refused
         self.moving = sorted(intents.keys() - refused)
-        self.beside: dict[int, Cell] = {}
+        self.beside: dict[int, GridCell] = {}
         self.before: dict[int, frozenset[int]] = {robot: frozenset() for robot in self.moving}
         self.stuck: int | None = next((r for r in self.moving if not self._place(r)), None)
 
@@ -97,7 +97,7 @@ class _Locks:
                 return True
         return False
 
-    def _sides(self, robot: int) -> Iterator[Cell]:
+    def _sides(self, robot: int) -> Iterator[GridCell]:
         intent = self.intents[robot]
         row, column = target(intent)
         if intent.upright:
@@ -105,7 +105,7 @@ class _Locks:
         if intent.sideways:
             yield intent.cell[0], column
 
-    def _order(self, robot: int, cell: Cell) -> dict[int, frozenset[int]] | None:
+    def _order(self, robot: int, cell: GridCell) -> dict[int, frozenset[int]] | None:
         """Who goes after whom if a robot goes by a cell; None if that cell stays held."""
         order = dict(self.before)
         for other, intent in self.intents.items():

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
-from marl_explore.config import require_positive
+from marl_explore.config.checks import require_positive
 
 
 class Clock(Protocol):

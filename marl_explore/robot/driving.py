@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from marl_explore.config import require_not_negative, require_positive
+from marl_explore.config.checks import require_not_negative, require_positive
 from marl_explore.robot.geometry import wrapped
 from marl_explore.robot.messages import Pose
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore import native
-from marl_explore.codes import (
+from marl_explore.config.constants import (
     COMPASS,
     FREE,
     NORMALIZATIONS,
@@ -16,14 +15,15 @@ from marl_explore.codes import (
     UNKNOWN,
     Normalization,
 )
-from marl_explore.robot.geometry import Cell
+from marl_explore.core import native
+from marl_explore.robot.geometry import GridCell
 
 Table = NDArray[np.float32]
 _BITS = NDArray[np.uint8]
 
 
 def feature_table(
-    grid: NDArray[np.int8], position: Cell, normalize: Normalization | None = "relative"
+    grid: NDArray[np.int8], position: GridCell, normalize: Normalization | None = "relative"
 ) -> Table:
     """``core.frontier.feature_table`` of one map, the same numbers to the last bit.
 
@@ -44,7 +44,9 @@ def feature_table(
     return by(grid, position, normalize)
 
 
-def native_table(grid: NDArray[np.int8], position: Cell, normalize: Normalization | None) -> Table:
+def native_table(
+    grid: NDArray[np.int8], position: GridCell, normalize: Normalization | None
+) -> Table:
     """The table by the C kernel."""
     grid = np.ascontiguousarray(grid, np.int8)
     height, width = grid.shape
@@ -64,7 +66,9 @@ def native_table(grid: NDArray[np.int8], position: Cell, normalize: Normalizatio
     return table
 
 
-def plain_table(grid: NDArray[np.int8], position: Cell, normalize: Normalization | None) -> Table:
+def plain_table(
+    grid: NDArray[np.int8], position: GridCell, normalize: Normalization | None
+) -> Table:
     """The table by numpy."""
     height, width = grid.shape
     if not (0 <= position[0] < height and 0 <= position[1] < width):
@@ -83,7 +87,7 @@ def plain_table(grid: NDArray[np.int8], position: Cell, normalize: Normalization
     return _normalized(sums, length.max(initial=0), normalize, height, width)
 
 
-def _search(padded: NDArray[np.int8], start: Cell) -> tuple[_BITS, NDArray[np.int64]]:
+def _search(padded: NDArray[np.int8], start: GridCell) -> tuple[_BITS, NDArray[np.int64]]:
     """Bits of the first moves of the shortest paths to every cell, and their lengths."""
     passable, fresh = padded != OCCUPIED, padded == FREE
     front = np.zeros(padded.shape, np.uint8)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 
-Cell = tuple[int, int]
+GridCell = tuple[int, int]
 """(row, column); row 0 is north."""
 
 
@@ -27,18 +27,18 @@ class Frame:
         """The frame of a configuration's arena."""
         return cls(config.height, config.width, config.cell_size)
 
-    def cell(self, x: float, y: float) -> Cell:
+    def cell(self, x: float, y: float) -> GridCell:
         """The cell that holds a point (metres); it may lie outside the arena."""
         row = math.floor(self.height / 2 - y / self.cell_size)
         return row, math.floor(self.width / 2 + x / self.cell_size)
 
-    def centre(self, cell: Cell) -> tuple[float, float]:
+    def centre(self, cell: GridCell) -> tuple[float, float]:
         """Middle of a cell, (x, y) in metres."""
         row, column = cell
         x = (column + 0.5 - self.width / 2) * self.cell_size
         return x, (self.height / 2 - row - 0.5) * self.cell_size
 
-    def inside(self, cell: Cell) -> bool:
+    def inside(self, cell: GridCell) -> bool:
         """Whether a cell belongs to the arena."""
         return 0 <= cell[0] < self.height and 0 <= cell[1] < self.width
 

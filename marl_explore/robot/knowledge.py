@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import NEVER, UNKNOWN
-from marl_explore.robot.geometry import Cell, Frame
+from marl_explore.config.constants import NEVER, UNKNOWN
+from marl_explore.robot.geometry import Frame, GridCell
 from marl_explore.robot.mapper import square
 
 Map = NDArray[np.int8]
@@ -32,7 +32,7 @@ class Knowledge:
         self.steps_since_merge[robot] = 0
         self._began = False
 
-    def sense(self, cell: Cell, seen: Map) -> int:
+    def sense(self, cell: GridCell, seen: Map) -> int:
         """Write what is seen around a cell into the map, which only grows.
 
         Args:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import FREE, OCCUPIED, UNKNOWN
-from marl_explore.config import require_integer, require_not_negative, require_positive
-from marl_explore.robot.geometry import Cell, Frame
+from marl_explore.config.checks import require_integer, require_not_negative, require_positive
+from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
+from marl_explore.robot.geometry import Frame, GridCell
 from marl_explore.robot.messages import Pose, Scan
 
 Floats = NDArray[np.floating]
@@ -93,7 +93,7 @@ def sight(
     return _hide_corners(seen.reshape(side, side))
 
 
-def square(cell: Cell, radius: int) -> list[Cell]:
+def square(cell: GridCell, radius: int) -> list[GridCell]:
     """The cells of the square around a cell, row by row."""
     steps = range(-radius, radius + 1)
     return [(cell[0] + row, cell[1] + column) for row in steps for column in steps]

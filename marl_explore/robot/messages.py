@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import NUM_ACTIONS, UNKNOWN
-from marl_explore.robot.geometry import Cell
+from marl_explore.config.constants import NUM_ACTIONS, UNKNOWN
+from marl_explore.robot.geometry import GridCell
 
 MOST_TICKS_APART = 10_000
 """Between a message and who receives it; a robot that comes late takes over the team's tick."""
@@ -93,7 +93,7 @@ class Intent:
 
     robot: int
     tick: int
-    cell: Cell
+    cell: GridCell
     """Where it starts from."""
     action: int
     upright: bool = False

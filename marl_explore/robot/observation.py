@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import (
+from marl_explore.config.arena import TOLERANCE, ArenaConfig
+from marl_explore.config.constants import (
     COMMUNICATE,
     COMPASS,
     FREE,
@@ -19,9 +20,8 @@ from marl_explore.codes import (
     UNKNOWN,
     Normalization,
 )
-from marl_explore.config import TOLERANCE, ArenaConfig
 from marl_explore.robot.frontier import feature_table
-from marl_explore.robot.geometry import Cell
+from marl_explore.robot.geometry import GridCell
 from marl_explore.robot.knowledge import Knowledge, Map
 from marl_explore.robot.mapper import hidden_corners
 
@@ -39,21 +39,24 @@ class Observation(NamedTuple):
     """[10]."""
     map: Map
     """int8 [H, W]."""
-    position: Cell
+    position: GridCell
     unshared: NDArray[np.int64]
     """[N]."""
     steps_since_merge: NDArray[np.int64]
     """[N]."""
 
 
-def in_range(cell: Cell, other: Cell, range_cells: float) -> bool:
+def in_range(cell: GridCell, other: GridCell, range_cells: float) -> bool:
     """Whether two cells are at most so far apart (cells; may be infinite)."""
     squared = (cell[0] - other[0]) ** 2 + (cell[1] - other[1]) ** 2
     return squared <= (range_cells + TOLERANCE) ** 2
 
 
 def observe(
-    knowledge: Knowledge, cells: Mapping[int, Cell], config: ArenaConfig, fpr: Normalization | None
+    knowledge: Knowledge,
+    cells: Mapping[int, GridCell],
+    config: ArenaConfig,
+    fpr: Normalization | None,
 ) -> Observation:
     """The observation of the robot whose knowledge it is.
 
@@ -83,7 +86,7 @@ def observe(
     )
 
 
-def _around(grid: Map, cell: Cell, radius: int) -> Map:
+def _around(grid: Map, cell: GridCell, radius: int) -> Map:
     """Codes of the square around a cell, UNKNOWN outside, int8 [2k + 1, 2k + 1]."""
     padded = np.pad(grid, radius, constant_values=UNKNOWN)
     row, column = cell
@@ -91,7 +94,9 @@ def _around(grid: Map, cell: Cell, radius: int) -> Map:
     return padded[row : row + side, column : column + side]
 
 
-def _field_of_view(codes: Map, cell: Cell, others: Mapping[int, Cell]) -> NDArray[np.float32]:
+def _field_of_view(
+    codes: Map, cell: GridCell, others: Mapping[int, GridCell]
+) -> NDArray[np.float32]:
     blocked = (codes != FREE) | hidden_corners(codes == OCCUPIED)
     middle = len(codes) // 2
     for place in others.values():
@@ -122,7 +127,7 @@ def sides_of(observation: Observation, config: ArenaConfig, action: int) -> tupl
 
 
 def _action_mask(
-    codes: Map, cell: Cell, others: Mapping[int, Cell], net: NDArray[np.float32]
+    codes: Map, cell: GridCell, others: Mapping[int, GridCell], net: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
     mask = np.zeros(NUM_ACTIONS, bool)
     mask[STAY], mask[COMMUNICATE] = True, net.sum() > 1

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import (
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import (
     COMMUNICATE,
     FORBIDDEN_LOGIT,
     NORMALIZATIONS,
@@ -21,14 +22,12 @@ from marl_explore.codes import (
     NUM_FEATURES,
     Normalization,
 )
-from marl_explore.config import ABILITIES, ArenaConfig
+from marl_explore.robot.networks import TWINS, Array
 from marl_explore.robot.observation import Observation
 
 FORMAT = "marl_explore.actors/1"
-Array = NDArray[np.float32]
-Weights = Mapping[str, Array]
-_EPSILON = 1e-5  # of torch's layer normalisation
-_ALLOWED = {"architecture": ("mlp", "cnn"), "fpr": NORMALIZATIONS}
+_ALLOWED = {"twin": tuple(TWINS), "fpr": NORMALIZATIONS}
+_ABILITIES = ("fov", "fpr", "net", "communication")
 
 
 class ExportedPolicy:
@@ -62,8 +61,8 @@ class ExportedPolicy:
             for name, array in weights.items()
             if name.startswith(prefix)
         }
-        self._without = frozenset(self.spec["without"])
-        self._logits = _cnn if self.spec["architecture"] == "cnn" else _mlp
+        self._ablate = frozenset(self.spec["ablate"])
+        self._logits = TWINS[self.spec["twin"]]
         self._chance = np.random.default_rng([seed, robot]) if sample else None
         try:
             self._check_weights()
@@ -116,10 +115,10 @@ class ExportedPolicy:
             action_mask: bool [*B, 10].
         """
         inputs = {"fov": fov, "fpr": fpr, "net": net}
-        for name in self._without & inputs.keys():
+        for name in self._ablate & inputs.keys():
             inputs[name] = np.zeros_like(inputs[name])
         logits = self._logits(self._weights, **inputs)
-        if "communication" in self._without:
+        if "communication" in self._ablate:
             logits[..., COMMUNICATE] = FORBIDDEN_LOGIT
         return np.where(action_mask, logits, np.float32(-np.inf))
 
@@ -138,74 +137,12 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 def _check_spec(spec: Mapping[str, Any]) -> None:
     if spec.get("format") != FORMAT:
         raise ValueError(f"its format is {spec.get('format')!r}, expected {FORMAT!r}")
-    for name in ("arena", "architecture", "fpr", "without"):
+    for name in ("arena", "twin", "fpr", "ablate"):
         if name not in spec:
             raise ValueError(f"its spec has no {name!r}")
     for name, allowed in _ALLOWED.items():
         if spec[name] not in allowed:
             raise ValueError(f"{name}={spec[name]!r} is not allowed: use one of {allowed}")
-    if not set(spec["without"]) <= set(ABILITIES):
-        raise ValueError(f"without={spec['without']!r} is not allowed: use some of {ABILITIES}")
+    if not set(spec["ablate"]) <= set(_ABILITIES):
+        raise ValueError(f"ablate={spec['ablate']!r} is not allowed: use some of {_ABILITIES}")
     ArenaConfig(**spec["arena"])
-
-
-def _layers(weights: Weights, prefix: str) -> list[str]:
-    """Names of a sequence's layers with weights, in their order."""
-    own = [name.removeprefix(f"{prefix}.") for name in weights if name.startswith(f"{prefix}.")]
-    return [f"{prefix}.{number}" for number in sorted({int(name.split(".")[0]) for name in own})]
-
-
-def _flat(array: Array, dims: int) -> Array:
-    return array.reshape(*array.shape[: array.ndim - dims], -1)
-
-
-def _linear(weights: Weights, name: str, inputs: Array) -> Array:
-    outputs: Array = inputs @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
-    return outputs
-
-
-def _mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
-    """``models.MLPActor``: its layers by their shapes, ReLU after each linear one but the last."""
-    values = np.concatenate((_flat(fov, 2), _flat(fpr, 2), net), -1)
-    names = _layers(weights, "layers")
-    for name in names:
-        if weights[f"{name}.weight"].ndim == 1:
-            values = _normalized(weights, name, values)
-            continue
-        values = _linear(weights, name, values)
-        if name != names[-1]:
-            values = np.maximum(values, 0)
-    return values
-
-
-def _normalized(weights: Weights, name: str, values: Array) -> Array:
-    scale, shift = weights[f"{name}.weight"], weights[f"{name}.bias"]
-    if scale.shape != values.shape[-1:]:  # numpy would stretch a scale of length 1
-        raise ValueError(f"{name}.weight of shape {scale.shape} must have {values.shape[-1:]}")
-    centred: Array = values - values.mean(-1, keepdims=True)
-    spread = np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(_EPSILON))
-    return centred / spread * scale + shift
-
-
-def _cnn(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
-    """``models.CNNActor``: convolutions on FOV, layers on FPR and NET, then the head."""
-    image = fov[..., None, :, :]
-    *convolutions, last = _layers(weights, "encoder.fov")
-    for name in convolutions:
-        image = _convolved(image, weights[f"{name}.weight"], weights[f"{name}.bias"])
-        image = np.maximum(image, 0)
-    parts = (
-        _linear(weights, last, _flat(image, 3)),
-        _linear(weights, "encoder.fpr.0", _flat(fpr, 2)),
-        _linear(weights, "encoder.net.0", net),
-    )
-    values = np.maximum(np.concatenate(parts, -1), 0)
-    return _linear(weights, "head.2", np.maximum(_linear(weights, "head.0", values), 0))
-
-
-def _convolved(image: Array, kernel: Array, bias: Array) -> Array:
-    """3 x 3 kernels [O, I, 3, 3] over [*B, I, H, W], with a border of zeros: [*B, O, H, W]."""
-    border = [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)]
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, border), (3, 3), (-2, -1))
-    summed: Array = np.tensordot(windows, kernel, ((-5, -2, -1), (1, 2, 3))) + bias
-    return np.moveaxis(summed, -1, -3)

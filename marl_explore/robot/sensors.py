@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from marl_explore.robot.geometry import Cell, Frame
+from marl_explore.robot.geometry import Frame, GridCell
 from marl_explore.robot.messages import Pose, Scan
 
 _KEPT = 64
@@ -91,6 +91,6 @@ class Sensors:
         """Where the other robots were last, however long ago."""
         return [poses[-1] for robot, poses in self._poses.items() if robot != self.robot]
 
-    def last_cells(self, frame: Frame) -> dict[int, Cell]:
+    def last_cells(self, frame: Frame) -> dict[int, GridCell]:
         """Cells of the other robots, however long ago."""
         return {pose.robot: frame.cell(pose.x, pose.y) for pose in self.others()}

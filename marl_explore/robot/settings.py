@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from marl_explore.config import require_positive
+from marl_explore.config.checks import require_positive
 from marl_explore.robot.driving import Drive
 from marl_explore.robot.mapper import BeamModel
 
 
 @dataclass(frozen=True)
-class Settings:
+class RobotSettings:
     """How a robot waits, drives and looks; times in seconds."""
 
     max_pose_age: float = 0.5

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.codes import FREE, OCCUPIED, UNKNOWN
+from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
 from marl_explore.robot import Envelope, Pose, Scan, decode
 from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Frame

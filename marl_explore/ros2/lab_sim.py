@@ -21,9 +21,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt32
 
-from marl_explore import ArenaConfig, ExplorationEnv
-from marl_explore.config import require_positive
-from marl_explore.evaluation import TEST_STREAM
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require_positive
+from marl_explore.envs.exploration import ExplorationEnv
+from marl_explore.evaluation.episodes import TEST_STREAM
 from marl_explore.lab import LabWorld, Noise
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from marl_explore.config import require_positive
-from marl_explore.robot import BarrierClock, ExportedPolicy, PeriodClock, RobotCore, Settings
+from marl_explore.config.checks import require_positive
+from marl_explore.robot import BarrierClock, ExportedPolicy, PeriodClock, RobotCore, RobotSettings
 
 Given = TypeVar("Given")
 
@@ -86,7 +86,7 @@ class RobotParameters:
     """Whether actions are drawn with the policy's probabilities."""
     seed: int = 0
     """Of the drawn actions."""
-    settings: Settings = field(default_factory=Settings)
+    settings: RobotSettings = field(default_factory=RobotSettings)
 
     def make_core(self) -> RobotCore:
         """The robot.

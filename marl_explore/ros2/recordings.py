@@ -102,7 +102,7 @@ def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
             yield connection.topic, nanoseconds * 1e-9, message
 
 
-def replay(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
+def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
     """Let a robot live through a recording again.
 
     It receives its scans and letters and all poses, and goes on whenever it sent a velocity.

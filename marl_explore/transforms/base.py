@@ -12,6 +12,7 @@ from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import Transform
 
 from marl_explore.core.grid import FREE, OCCUPIED, UNKNOWN
+from marl_explore.core.links import within_range
 
 _CODES = f"{UNKNOWN} unknown, {FREE} free, {OCCUPIED} occupied"
 
@@ -130,6 +131,49 @@ class FeatureTransform(Transform):
         )
 
 
+class LinkedFeature(FeatureTransform):
+    """A feature that depends on who is linked: it reads an entry with links, or a range.
+
+    Args:
+        in_keys: further entries to read; one of them holds the positions of a team.
+        out_key: entry to write.
+        range_cells: largest distance of cell centres at which robots are linked (cells; may be
+            infinite), for data without links.
+        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
+        position: place of the positions among ``in_keys``.
+
+    Raises:
+        ValueError: for a negative range.
+    """
+
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey],
+        out_key: NestedKey,
+        range_cells: float,
+        linked_key: NestedKey | None,
+        position: int = 0,
+    ) -> None:
+        require_range(range_cells)
+        super().__init__([*in_keys, *([] if linked_key is None else [linked_key])], out_key)
+        self.range_cells, self.linked_key, self._position = range_cells, linked_key, position
+
+    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
+        """Positions must be int64 [*B, N, 2], and links bool [*B, N, N]."""
+        position = inputs[self._position]
+        self._require_team(self.in_keys[self._position], position)
+        if self.linked_key is not None:
+            shape = (*position.shape[:-1], position.shape[-2])
+            if (inputs[-1].dtype, inputs[-1].shape) != (torch.bool, shape):
+                self._refuse(self.linked_key, f"bool of shape {shape} (linked pairs)", inputs[-1])
+
+    def links_of(self, inputs: Sequence[Tensor]) -> Tensor:
+        """Who is linked, bool [*B, N, N], of all inputs."""
+        if self.linked_key is None:
+            return within_range(inputs[self._position], self.range_cells)
+        return inputs[-1]
+
+
 class MapFeature(FeatureTransform):
     """A feature of maps int8 [*B, H, W] (-1 unknown, 0 free, 1 occupied) and a position in each.
 
@@ -141,7 +185,7 @@ class MapFeature(FeatureTransform):
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
         """Maps and positions must be of these types, on one device."""
-        grid, position = inputs
+        grid, position = inputs[:2]
         if grid.dtype != torch.int8 or grid.ndim < 2 + self.of_team or 0 in grid.shape[-2:]:
             axes = "[*B, N, H, W]" if self.of_team else "[*B, H, W]"
             self._refuse(self.in_keys[0], f"int8 of shape {axes} with {_CODES}", grid)
@@ -155,7 +199,7 @@ class MapFeature(FeatureTransform):
 
     def check_values(self, *inputs: Tensor) -> None:
         """Maps hold three codes only, and positions lie in them."""
-        grid, position = inputs
+        grid, position = inputs[:2]
         other = (grid < UNKNOWN) | (grid > OCCUPIED)
         if other.any():
             raise ValueError(
@@ -174,9 +218,20 @@ class MapFeature(FeatureTransform):
 
     def vouch(self, *inputs: TensorSpec) -> bool:
         """Whether bounds of the specs allow three codes and positions in the map only."""
-        grid, position = inputs
+        grid, position = inputs[:2]
         last = torch.tensor(grid.shape[-2:], device=position.device) - 1
         return within(grid, UNKNOWN, OCCUPIED) and within(position, 0, last)
+
+
+class TeamMapFeature(MapFeature, LinkedFeature):
+    """A feature of a team's maps, positions and links."""
+
+    of_team = True
+
+    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
+        """As for both kinds of features."""
+        MapFeature.check_kinds(self, *inputs)
+        LinkedFeature.check_kinds(self, *inputs)
 
 
 def within(spec: TensorSpec, low: Tensor | int, high: Tensor | int) -> bool:

@@ -9,12 +9,11 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from marl_explore import native
-from marl_explore.codes import NUM_FEATURES
-from marl_explore.core import frontier
+from marl_explore.config.constants import NUM_FEATURES
+from marl_explore.core import frontier, native
 from marl_explore.core.frontier import NORMALIZATIONS, Normalization
 from marl_explore.core.grid import NUM_DIRECTIONS
-from marl_explore.native import operator
+from marl_explore.core.native import operator
 from marl_explore.transforms.base import MapFeature
 
 Backend = Literal["auto", "torch", "native"]

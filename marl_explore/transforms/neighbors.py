@@ -7,22 +7,23 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from marl_explore.core.radio import in_range
-from marl_explore.transforms.base import FeatureTransform, require_range
+from marl_explore.transforms.base import LinkedFeature
 
 
-class CommunicationNeighbors(FeatureTransform):
-    """Whether each pair of robots is in communication range; a robot is in range of itself.
+class CommunicationNeighbors(LinkedFeature):
+    """Whether each pair of robots can communicate; a robot always can with itself.
 
     Reads positions int64 [*B, N, 2] (cells) and writes float32 [*B, N, N] of 0 and 1.
 
     Args:
         position_key: entry with the (row, column) positions of a team.
         out_key: entry to write.
-        range_cells: largest distance of cell centres (cells; may be infinite).
+        range_cells: largest distance of cell centres (cells; may be infinite), for data without
+            links.
+        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
 
     Raises:
-        ValueError: for a negative range, or positions of another dtype or shape.
+        ValueError: for a negative range, or entries of another dtype or shape.
         KeyError: when the entry is missing; it names those that are there.
     """
 
@@ -31,21 +32,15 @@ class CommunicationNeighbors(FeatureTransform):
         position_key: NestedKey = ("agents", "position"),
         out_key: NestedKey = ("agents", "observation", "net"),
         range_cells: float = 6.4,
+        linked_key: NestedKey | None = None,
     ) -> None:
-        require_range(range_cells)
-        super().__init__([position_key], out_key)
-        self.range_cells = range_cells
+        super().__init__([position_key], out_key, range_cells, linked_key)
 
-    def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Positions must be int64 [*B, N, 2]."""
-        (position,) = inputs
-        self._require_team(self.in_keys[0], position)
+    def compute(self, *inputs: Tensor) -> Tensor:
+        """NET float32 [*B, N, N] of positions [*B, N, 2], or of links."""
+        return self.links_of(inputs).float()
 
-    def compute(self, position: Tensor) -> Tensor:  # type: ignore[override]
-        """NET float32 [*B, N, N] of positions [*B, N, 2]."""
-        return in_range(position, self.range_cells).float()
-
-    def feature_spec(self, position: TensorSpec) -> TensorSpec:
+    def feature_spec(self, position: TensorSpec, *_: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, N, N]."""
         shape = (*position.shape[:-1], position.shape[-2])
         return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)

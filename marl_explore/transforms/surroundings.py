@@ -12,15 +12,18 @@ from marl_explore.core.grid import (
     OCCUPIED,
     UNKNOWN,
     flat_cell,
-    other_robots,
     square_steps,
 )
-from marl_explore.core.outlook import step_gains
-from marl_explore.core.radio import in_range
-from marl_explore.transforms.base import FeatureTransform, MapFeature, require_range
+from marl_explore.core.links import linked_others
+from marl_explore.core.sensing import cells_in_view, step_gains
+from marl_explore.transforms.base import FeatureTransform, MapFeature, TeamMapFeature
 
 LONG_STEPS = 16
 """Elapsed steps that read as one half."""
+CLOCK_PERIOD = 6
+"""Steps after which the clock is at the same place again."""
+LOCAL_VIEW = 4
+"""Cells of the map that are read to each side of a robot."""
 
 
 class StepGain(MapFeature):
@@ -48,7 +51,7 @@ class StepGain(MapFeature):
 
     def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
         """The shares float32 [*B, 8]."""
-        return step_gains(grid, position, self.radius) / (2 * self.radius + 1) ** 2
+        return step_gains(grid, position, self.radius) / cells_in_view(self.radius)
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, 8]."""
@@ -56,7 +59,7 @@ class StepGain(MapFeature):
         return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)
 
 
-class LocalMap(MapFeature):
+class LocalMap(TeamMapFeature):
     """The part of its map around each robot of a team, and the robots in range that stand there.
 
     Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32
@@ -66,11 +69,10 @@ class LocalMap(MapFeature):
         map_key: entry with the maps of a team.
         position_key: entry with the (row, column) positions.
         out_key: entry to write.
-        range_cells: largest distance at which robots know of each other (cells).
+        range_cells: largest distance at which robots are linked (cells), for data without links.
         view: r, half a side of the part (cells).
+        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
     """
-
-    of_team = True
 
     def __init__(
         self,
@@ -78,28 +80,28 @@ class LocalMap(MapFeature):
         position_key: NestedKey = ("agents", "position"),
         out_key: NestedKey = ("agents", "observation", "local"),
         range_cells: float = 6.4,
-        view: int = 4,
+        view: int = LOCAL_VIEW,
+        linked_key: NestedKey | None = None,
     ) -> None:
-        require_range(range_cells)
-        super().__init__([map_key, position_key], out_key)
-        self.range_cells, self.view = range_cells, view
+        super().__init__([map_key, position_key], out_key, range_cells, linked_key, position=1)
+        self.view = view
 
-    def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
+    def compute(self, *inputs: Tensor) -> Tensor:
         """The part float32 [*B, N, 3, 2r + 1, 2r + 1]."""
+        grid, position = inputs[:2]
         side = 2 * self.view + 1
         padded = torch.nn.functional.pad(grid, (self.view,) * 4, value=OCCUPIED)
         stride = padded.shape[-1]
         centre = flat_cell(position + self.view, stride).unsqueeze(-1)
         part = padded.flatten(-2).gather(-1, centre + square_steps(self.view, stride, grid.device))
         offset = position.unsqueeze(-3) - position.unsqueeze(-2) + self.view
-        seen = ((offset >= 0) & (offset < side)).all(-1) & in_range(position, self.range_cells)
-        seen &= other_robots(position.shape[-2], grid.device).bool()
+        seen = ((offset >= 0) & (offset < side)).all(-1) & linked_others(self.links_of(inputs))
         cell = torch.where(seen, flat_cell(offset, side), side * side)
         robots = part.new_zeros(*part.shape[:-1], side * side + 1).scatter(-1, cell, 1)
         layers = (part == UNKNOWN, part == OCCUPIED, robots[..., :-1] > 0)
         return torch.stack(layers, -2).float().unflatten(-1, (side, side))
 
-    def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
+    def feature_spec(self, grid: TensorSpec, position: TensorSpec, *_: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, N, 3, 2r + 1, 2r + 1]."""
         side = 2 * self.view + 1
         shape = (*position.shape[:-1], 3, side, side)
@@ -124,7 +126,7 @@ class Clock(FeatureTransform):
         step_key: NestedKey = "step_count",
         position_key: NestedKey = ("agents", "position"),
         out_key: NestedKey = ("agents", "observation", "clock"),
-        period: int = 6,
+        period: int = CLOCK_PERIOD,
     ) -> None:
         super().__init__([step_key, position_key], out_key)
         self.period = period

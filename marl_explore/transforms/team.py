@@ -8,15 +8,14 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
-from marl_explore.core.outlook import TERRITORY_SIZE, territory_table
-from marl_explore.core.radio import in_range
-from marl_explore.transforms.base import FeatureTransform, MapFeature, require_range
+from marl_explore.core.information_gain import TERRITORY_SIZE, territory_table
+from marl_explore.transforms.base import LinkedFeature, TeamMapFeature
 
 NEAR_CELLS, FEW_CELLS, SHORT_STEPS = 8, 16, 8
 """Scales at which distances, unshared cells and waiting times are told apart best."""
 
 
-class FrontierTerritory(MapFeature):
+class FrontierTerritory(TeamMapFeature):
     """The frontiers to which no other robot in range is nearer, by direction.
 
     Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32 [*B, N, 8, 5]
@@ -26,11 +25,10 @@ class FrontierTerritory(MapFeature):
         map_key: entry with the maps of a team.
         position_key: entry with the (row, column) positions.
         out_key: entry to write.
-        range_cells: largest distance at which robots know of each other (cells).
+        range_cells: largest distance at which robots are linked (cells), for data without links.
         radius: of the square that a robot sees (cells).
+        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
     """
-
-    of_team = True
 
     def __init__(
         self,
@@ -39,23 +37,23 @@ class FrontierTerritory(MapFeature):
         out_key: NestedKey = ("agents", "observation", "territory"),
         range_cells: float = 6.4,
         radius: int = 1,
+        linked_key: NestedKey | None = None,
     ) -> None:
-        require_range(range_cells)
-        super().__init__([map_key, position_key], out_key)
-        self.range_cells, self.radius = range_cells, radius
+        super().__init__([map_key, position_key], out_key, range_cells, linked_key, position=1)
+        self.radius = radius
 
-    def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
+    def compute(self, *inputs: Tensor) -> Tensor:
         """The table float32 [*B, N, 8, 5]."""
-        reach = in_range(position, self.range_cells)
-        return territory_table(grid, position, reach, self.radius)
+        grid, position = inputs[:2]
+        return territory_table(grid, position, self.links_of(inputs), self.radius)
 
-    def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
+    def feature_spec(self, grid: TensorSpec, position: TensorSpec, *_: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, N, 8, 5]."""
         shape = (*position.shape[:-1], NUM_DIRECTIONS, TERRITORY_SIZE)
         return Bounded(0, 1, shape=shape, dtype=torch.float32, device=position.device)
 
 
-class Teammates(FeatureTransform):
+class Teammates(LinkedFeature):
     """What each robot knows of every other one: where it is, and what was exchanged with it.
 
     Reads positions int64 [*B, N, 2], own cells since the last merge int64 [*B, N, N] (q_ij) and
@@ -68,7 +66,8 @@ class Teammates(FeatureTransform):
         unshared_key: entry with q_ij.
         since_key: entry with the steps since the last merge.
         out_key: entry to write.
-        range_cells: largest distance at which robots know of each other (cells).
+        range_cells: largest distance at which robots are linked (cells), for data without links.
+        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
     """
 
     def __init__(
@@ -78,24 +77,24 @@ class Teammates(FeatureTransform):
         since_key: NestedKey = ("agents", "steps_since_merge"),
         out_key: NestedKey = ("agents", "observation", "teammates"),
         range_cells: float = 6.4,
+        linked_key: NestedKey | None = None,
     ) -> None:
-        require_range(range_cells)
-        super().__init__([position_key, unshared_key, since_key], out_key)
-        self.range_cells = range_cells
+        super().__init__([position_key, unshared_key, since_key], out_key, range_cells, linked_key)
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Positions must be int64 [*B, N, 2], the others int64 [*B, N, N]."""
+        """Positions must be int64 [*B, N, 2], links bool and the others int64 [*B, N, N]."""
+        super().check_kinds(*inputs)
         position = inputs[0]
-        self._require_team(self.in_keys[0], position)
         shape = (*position.shape[:-1], position.shape[-2])
-        for key, entry in zip(self.in_keys[1:], inputs[1:], strict=True):
+        for key, entry in zip(self.in_keys[1:3], inputs[1:3], strict=True):
             if (entry.dtype, entry.shape) != (torch.int64, shape):
                 self._refuse(key, f"int64 of shape {shape}", entry)
 
-    def compute(self, position: Tensor, unshared: Tensor, since: Tensor) -> Tensor:  # type: ignore[override]
+    def compute(self, *inputs: Tensor) -> Tensor:
         """The features float32 [*B, N, N, 6]."""
+        position, unshared, since = inputs[:3]
         others = other_robots(position.shape[-2], position.device)
-        near = (in_range(position, self.range_cells) * others).float()
+        near = (self.links_of(inputs) * others).float()
         offset = (position.unsqueeze(-3) - position.unsqueeze(-2)).float()
         distance = offset.norm(dim=-1).clamp_min(1)
         place = (offset / NEAR_CELLS).clamp(-1, 1) * near.unsqueeze(-1)

@@ -10,7 +10,7 @@ from torchrl.envs import MarlGroupMapType, PettingZooWrapper, check_env_specs
 
 from marl_explore import ArenaConfig, make_env
 from marl_explore.adapters.pettingzoo import parallel_env
-from tests.boards import actions, arena
+from tests.helpers.boards import actions, arena
 
 SMALL = ArenaConfig(height=6, width=5, num_agents=3, communication_range=1.0)
 

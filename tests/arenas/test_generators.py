@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from marl_explore.arenas import Caves, Corridors, Mazes, Mixed, Rooms, Uniform
-from marl_explore.config import ArenaConfig
-from tests import reference
-from tests.arenas.drawing import cells, drawn
+from marl_explore.config.arena import ArenaConfig
+from tests.helpers import oracle
+from tests.helpers.drawing import cells, drawn
 
 KINDS = (Uniform, Rooms, Mazes, Caves, Corridors)
 
@@ -37,7 +37,7 @@ def test_arenas_of_any_size_are_connected_with_robots_on_distinct_free_cells(
     generate = kind(config(height, width), starts=starts)
     for arena, positions in zip(*drawn(generate, 2, seed), strict=True):
         assert arena.shape == (height, width)
-        assert reference.connected(arena.tolist())
+        assert oracle.connected(arena.tolist())
         assert len(cells(positions)) == 4
         assert not any(arena[cell] for cell in cells(positions))
 
@@ -106,8 +106,8 @@ def test_mazes_wind():
     obstacles, _ = drawn(Mazes(config(32)), 10)
     longest = []
     for arena in obstacles.tolist():
-        free = reference.free_cells(arena)
-        longest.append(max(reference.distances(free, arena, (0, 0)).values()))
+        free = oracle.free_cells(arena)
+        longest.append(max(oracle.distances(free, arena, (0, 0)).values()))
     assert np.mean(longest) > 60
 
 
@@ -173,6 +173,6 @@ def test_the_third_of_the_mixed_arenas_lies_in_a_corner(size):
         assert arena[height:].all()
         assert arena[:, width:].all()
         assert arena[:height, :width].sum() == corner.num_obstacles
-        assert reference.connected(arena[:height, :width].tolist())
+        assert oracle.connected(arena[:height, :width].tolist())
         assert len(cells(robots)) == 4
         assert not any(arena[cell] for cell in cells(robots))

@@ -10,7 +10,7 @@ import torch
 from marl_explore import ArenaConfig, ExplorationEnv, make_env
 from marl_explore.arenas import MapArenas, load_map
 from marl_explore.core.hashing import stream_seed
-from tests.arenas.drawing import cells, drawn
+from tests.helpers.drawing import cells, drawn
 
 POCKET = """\
 ..#....

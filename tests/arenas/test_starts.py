@@ -8,10 +8,10 @@ import torch
 from marl_explore.arenas import Mazes
 from marl_explore.arenas.components import largest_component
 from marl_explore.arenas.starts import clustered, scattered
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.hashing import combine
-from tests import boards, reference
-from tests.arenas.drawing import cells, drawn
+from tests.helpers import boards, oracle
+from tests.helpers.drawing import cells, drawn
 
 
 def order(numbers):
@@ -60,7 +60,7 @@ def test_clustered_starts_are_the_cells_nearest_to_one_of_them(robots):
 
 def nearest(arena, center, team):
     """Whether no cell outside the team is nearer to the center than one inside."""
-    distance = reference.distances(reference.free_cells(arena), arena, center)
+    distance = oracle.distances(oracle.free_cells(arena), arena, center)
     outside = [steps for cell, steps in distance.items() if cell not in team]
     return max(distance[cell] for cell in team) <= min(outside)
 

@@ -11,7 +11,7 @@ from marl_explore import ArenaConfig, ExplorationEnv, make_env
 from marl_explore.arenas import Mixed, Rooms, Uniform, list_suites, resolve, suite
 from marl_explore.arenas.suites import SUITES
 from marl_explore.core.hashing import stream_seed
-from tests.arenas.drawing import drawn
+from tests.helpers.drawing import drawn
 
 IDS = [entry.id for entry in SUITES]
 

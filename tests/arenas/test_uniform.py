@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from marl_explore.arenas.uniform import Uniform
-from marl_explore.config import ArenaConfig
-from tests import reference
+from marl_explore.config.arena import ArenaConfig
+from tests.helpers import oracle
 
 MASK = (1 << 64) - 1
 
@@ -41,7 +41,7 @@ def drawn_slowly(config, seed, arena, episode):
             [row * config.width + column in blocked for column in range(config.width)]
             for row in range(config.height)
         ]
-        if reference.connected(obstacles):
+        if oracle.connected(obstacles):
             break
     free = [cell for cell in cells if cell not in blocked]
     starts = sorted(free, key=lambda cell: signed(combined(key, 1, cell)))[: config.num_agents]
@@ -68,7 +68,7 @@ def test_arenas_have_the_density_and_are_connected_with_robots_on_distinct_free_
     obstacles, positions = Uniform(config)(3, torch.arange(64), torch.zeros(64, dtype=torch.int64))
     assert (obstacles.sum((1, 2)) == config.num_obstacles).all()
     for arena, starts in zip(obstacles.tolist(), positions.tolist(), strict=True):
-        assert reference.connected(arena)
+        assert oracle.connected(arena)
         assert len({tuple(p) for p in starts}) == 5
         assert not any(arena[r][c] for r, c in starts)
 
@@ -115,7 +115,7 @@ def test_the_last_attempt_counts(monkeypatch):
     first = [
         int(arena)
         for arena in arenas
-        if reference.connected(first_attempt(config, 0, int(arena)).tolist())
+        if oracle.connected(first_attempt(config, 0, int(arena)).tolist())
     ]
     assert first
     assert drawn(attempts=1) == first

@@ -9,16 +9,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marl_explore.core.frontier import (
-    NORMALIZATIONS,
-    frontier_mask,
-    nearest_frontier,
-)
+from marl_explore.core.frontier import NORMALIZATIONS, frontier_mask, nearest_frontier
 from marl_explore.core.world import advance, start
-from tests import reference
-from tests.boards import ACTIONS, known_map, map_cells
-from tests.implementations import feature_table
-from tests.strategies import island_maps, repeatable, scenarios
+from tests.helpers import oracle
+from tests.helpers.boards import ACTIONS, known_map, map_cells
+from tests.helpers.implementations import feature_table
+from tests.helpers.strategies import island_maps, repeatable, scenarios
 
 
 def assert_table(table, expected):
@@ -28,7 +24,7 @@ def assert_table(table, expected):
 def assert_agrees(maps, positions, normalize, levels=None):
     """Tables of maps [M, H, W] and positions [M, 2] against the oracle's."""
     expected = [
-        reference.feature_table(map_, position, normalize)
+        oracle.feature_table(map_, position, normalize)
         for map_, position in zip(maps.tolist(), positions.tolist(), strict=True)
     ]
     assert_table(feature_table(maps, positions, normalize, levels), expected)
@@ -67,7 +63,7 @@ def test_the_frontier_mask_agrees_with_the_reference(boards):
     for board in boards:
         map_, _ = known_map(board)
         cells = [tuple(cell) for cell in frontier_mask(map_).nonzero().tolist()]
-        assert cells == reference.frontiers(map_.tolist())
+        assert cells == oracle.frontiers(map_.tolist())
 
 
 @pytest.mark.parametrize("normalize", NORMALIZATIONS)
@@ -82,7 +78,7 @@ def test_arenas_one_cell_wide_agree_with_the_reference(board, normalize):
 def test_enough_levels_give_the_same_table_as_no_limit(boards, extra):
     for board in boards:
         map_, position = known_map(board)
-        trajectories = reference.trajectories(map_.tolist(), position.tolist())
+        trajectories = oracle.trajectories(map_.tolist(), position.tolist())
         levels = max((length for _, length in trajectories), default=0) + extra
         unlimited = feature_table(map_, position, None)
         assert feature_table(map_, position, None, levels).equal(unlimited)
@@ -94,7 +90,7 @@ def test_trajectories_longer_than_the_levels_are_ignored(boards, levels):
     for board in boards:
         map_, position = known_map(board)
         number = [0] * 8
-        for direction, length in reference.trajectories(map_.tolist(), position.tolist()):
+        for direction, length in oracle.trajectories(map_.tolist(), position.tolist()):
             number[direction] += length <= levels
         assert feature_table(map_, position, None, levels)[:, 0].tolist() == number
 
@@ -104,7 +100,7 @@ def test_trajectories_longer_than_the_levels_are_ignored(boards, levels):
 def test_the_nearest_frontier_agrees_with_the_reference(boards):
     maps, positions = map(torch.stack, zip(*map(known_map, boards), strict=True))
     found = [
-        reference.trajectories(map_, position)
+        oracle.trajectories(map_, position)
         for map_, position in zip(maps.tolist(), positions.tolist(), strict=True)
     ]
     nearest = [min(((n, d) for d, n in paths), default=(0, 0)) for paths in found]

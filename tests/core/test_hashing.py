@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from marl_explore.core.hashing import combine, mix, text_key
-from tests.strategies import repeatable
+from tests.helpers.strategies import repeatable
 
 int64s = st.integers(-(2**63), 2**63 - 1)
 

@@ -6,23 +6,22 @@ import pytest
 import torch
 from hypothesis import given
 
-from marl_explore.core.grid import OCCUPIED, UNKNOWN, bordered, surroundings
+from marl_explore.core.grid import OCCUPIED, UNKNOWN
 from marl_explore.core.mapping import (
     blank_maps,
     connected,
     draw,
-    field_of_view,
     known_cells,
     known_mask,
     known_targets,
     merge,
     reachable_cells,
-    sense,
     target_cells,
 )
-from tests import reference
-from tests.boards import arena, map_cells
-from tests.strategies import repeatable, scenarios
+from marl_explore.core.sensing import bordered, field_of_view, sense, surroundings
+from tests.helpers import oracle
+from tests.helpers.boards import arena, map_cells
+from tests.helpers.strategies import repeatable, scenarios
 
 
 def around(obstacles, position, radius=1, occlusion=False):
@@ -311,5 +310,5 @@ def test_connected_means_that_legal_moves_join_all_free_cells(board, joined):
 @repeatable(max_examples=60)
 @given(scenario=scenarios(max_side=9, max_steps=1))
 def test_connected_agrees_with_the_reference(scenario):
-    expected = [reference.connected(obstacles) for obstacles in scenario.obstacles.tolist()]
+    expected = [oracle.connected(obstacles) for obstacles in scenario.obstacles.tolist()]
     assert connected(scenario.obstacles).tolist() == expected

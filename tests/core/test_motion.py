@@ -7,10 +7,10 @@ import math
 import pytest
 import torch
 
-from marl_explore.core.grid import bordered, surroundings
+from marl_explore.core.links import within_range
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
-from marl_explore.core.radio import in_range
-from tests.boards import ACTIONS, actions, arena
+from marl_explore.core.sensing import bordered, surroundings
+from tests.helpers.boards import ACTIONS, actions, arena
 
 
 def around(obstacles, position):
@@ -272,7 +272,7 @@ def test_a_diagonal_past_a_robot_that_stays_is_no_crossing():
 def offered(board, range_cells):
     """Names of the actions that the mask allows, one string a robot."""
     obstacles, position = arena(board)
-    mask = action_mask(open_moves(around(obstacles, position)), in_range(position, range_cells))
+    mask = action_mask(open_moves(around(obstacles, position)), within_range(position, range_cells))
     return [
         " ".join(name for name, allowed in zip(ACTIONS, row, strict=True) if allowed)
         for row in mask.tolist()

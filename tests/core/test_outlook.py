@@ -6,12 +6,13 @@ import torch
 from hypothesis import given
 
 from marl_explore.core.frontier import paths
-from marl_explore.core.outlook import step_gains, territory_table, unknown_around
-from marl_explore.core.radio import in_range
+from marl_explore.core.information_gain import territory_table
+from marl_explore.core.links import within_range
+from marl_explore.core.sensing import step_gains, unknown_around
 from marl_explore.core.world import advance, start
-from tests import reference
-from tests.boards import known_map
-from tests.strategies import repeatable, scenarios
+from tests.helpers import oracle
+from tests.helpers.boards import known_map
+from tests.helpers.strategies import repeatable, scenarios
 
 
 def unknown_in_square(map_, cell, radius):
@@ -21,22 +22,22 @@ def unknown_in_square(map_, cell, radius):
         for row in range(-radius, radius + 1)
         for column in range(-radius, radius + 1)
     ]
-    return sum(reference.inside(map_, c) and map_[c[0]][c[1]] == reference.UNKNOWN for c in square)
+    return sum(oracle.inside(map_, c) and map_[c[0]][c[1]] == oracle.UNKNOWN for c in square)
 
 
 def grids(map_):
     """Where paths may go, and what closes a diagonal."""
-    free = [[value == reference.FREE for value in row] for row in map_]
-    return free, [[value == reference.OCCUPIED for value in row] for row in map_]
+    free = [[value == oracle.FREE for value in row] for row in map_]
+    return free, [[value == oracle.OCCUPIED for value in row] for row in map_]
 
 
 def slow_gains(map_, position, radius):
     free, occupied = grids(map_)
     return [
-        unknown_in_square(map_, reference.shifted(position, direction), radius)
-        if reference.may_move(free, occupied, position, direction)
+        unknown_in_square(map_, oracle.shifted(position, direction), radius)
+        if oracle.may_move(free, occupied, position, direction)
         else 0
-        for direction in reference.COMPASS
+        for direction in oracle.COMPASS
     ]
 
 
@@ -47,11 +48,11 @@ def slow_territory(map_, positions, robot, near, radius):
     others = []
     for other, position in enumerate(positions):
         if other != robot and near[other]:
-            others.append(reference.distances(free, occupied, tuple(position)))
-    cells = [cell for cell in reference.frontiers(map_) if cell != own]
-    reachable = reference.distances(free, occupied, own)
+            others.append(oracle.distances(free, occupied, tuple(position)))
+    cells = [cell for cell in oracle.frontiers(map_) if cell != own]
+    reachable = oracle.distances(free, occupied, own)
     moves = dict(
-        zip((c for c in cells if c in reachable), reference.trajectories(map_, own), strict=True)
+        zip((c for c in cells if c in reachable), oracle.trajectories(map_, own), strict=True)
     )
     mine = {
         cell: (first, length)
@@ -81,7 +82,7 @@ def test_gains_and_territories_of_real_episodes_agree_with_slow_loops(scenario):
     for action in scenario.actions:
         state, _ = advance(scenario.config, state, action)
     radius = scenario.config.fov_radius
-    reach = in_range(state.position, scenario.config.communication_cells)
+    reach = within_range(state.position, scenario.config.communication_cells)
     gains = step_gains(state.map, state.position, radius).tolist()
     tables = territory_table(state.map, state.position, reach, radius)
     for b, (maps, positions) in enumerate(

@@ -7,10 +7,11 @@ import math
 import pytest
 import torch
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.core.communication import networks
 from marl_explore.core.grid import COMMUNICATE
-from marl_explore.core.radio import has_neighbor, in_range, networks
-from tests.boards import actions, arena
+from marl_explore.core.links import any_linked, within_range
+from tests.helpers.boards import actions, arena
 
 
 def pairs(matrix):
@@ -22,7 +23,7 @@ def pairs(matrix):
 def networks_of(board, range_cells, names):
     """The members of each network, as a set of tuples."""
     _, position = arena(board)
-    together = networks(in_range(position, range_cells), actions(names) == COMMUNICATE)
+    together = networks(within_range(position, range_cells), actions(names) == COMMUNICATE)
     assert together.equal(together.T)
     members = together.diagonal().nonzero().flatten().tolist()
     return {tuple(together[member].nonzero().flatten().tolist()) for member in members}
@@ -47,13 +48,13 @@ def test_distances_are_euclidean_between_cell_centres(range_cells, near):
         .01
         2..
     """)  # 1 from robot 0 to 1, sqrt 2 from 0 to 2, sqrt 5 from 1 to 2
-    assert pairs(in_range(position, range_cells)) == near
+    assert pairs(within_range(position, range_cells)) == near
 
 
 @pytest.mark.parametrize("range_cells", [0, 0.5, 6.4, math.inf])
 def test_every_robot_is_in_range_of_itself(range_cells):
     _, position = arena("0....1")
-    assert in_range(position, range_cells).diagonal().all()
+    assert within_range(position, range_cells).diagonal().all()
 
 
 @pytest.mark.parametrize(
@@ -65,30 +66,30 @@ def test_exactly_the_range_is_in_range_in_spite_of_rounding(range_m, cell_size, 
         cell_size=cell_size, sensing_range=3 * cell_size, communication_range=range_m
     )
     position = torch.tensor([[0, 0], [0, cells], [cells + 1, 0]])
-    assert pairs(in_range(position, config.communication_cells)) == {(0, 1)}
+    assert pairs(within_range(position, config.communication_cells)) == {(0, 1)}
 
 
 def test_the_rounding_slack_is_no_more_than_that():
     position = torch.tensor([[0, 0], [0, 3]])
-    assert pairs(in_range(position, 3 - 1e-6)) == set()
+    assert pairs(within_range(position, 3 - 1e-6)) == set()
 
 
 def test_with_range_0_nobody_hears_anybody():
     _, position = arena("01\n2.")
-    assert pairs(in_range(position, 0)) == set()
+    assert pairs(within_range(position, 0)) == set()
 
 
 @pytest.mark.parametrize("range_cells", [math.inf, 1e12])
 def test_with_a_boundless_range_everybody_hears_everybody(range_cells):
     position = torch.tensor([[0, 0], [0, 1], [9999, 9999]])
-    assert pairs(in_range(position, range_cells)) == {(0, 1), (0, 2), (1, 2)}
+    assert pairs(within_range(position, range_cells)) == {(0, 1), (0, 2), (1, 2)}
 
 
 def test_has_neighbor_needs_another_robot():
     _, position = arena("0.1...2")
-    assert has_neighbor(in_range(position, 2)).tolist() == [True, True, False]
+    assert any_linked(within_range(position, 2)).tolist() == [True, True, False]
     _, alone = arena("0")
-    assert has_neighbor(in_range(alone, math.inf)).tolist() == [False]
+    assert any_linked(within_range(alone, math.inf)).tolist() == [False]
 
 
 # ---------------------------------------------------------------- networks
@@ -116,7 +117,7 @@ def test_a_chain_of_four_joins_ends_that_are_out_of_range(board):
 @pytest.mark.parametrize("robots", [5, 6, 9, 10])
 def test_long_chains_relay_from_end_to_end(robots):
     position = torch.tensor([[0, 2 * robot] for robot in range(robots)])
-    together = networks(in_range(position, 2), torch.ones(robots, dtype=torch.bool))
+    together = networks(within_range(position, 2), torch.ones(robots, dtype=torch.bool))
     assert together.all()
 
 
@@ -138,5 +139,5 @@ def test_a_lone_communicator_beside_a_network_is_in_none():
 def test_arenas_of_a_batch_have_their_own_networks():
     positions = torch.stack([arena("0.1....")[1], arena("0.....1")[1]])
     communicating = torch.tensor([[True, True], [True, True]])
-    together = networks(in_range(positions, 2), communicating)
+    together = networks(within_range(positions, 2), communicating)
     assert together.tolist() == [[[True, True], [True, True]], [[False, False], [False, False]]]

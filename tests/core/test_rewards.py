@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.rewards import (
     REWARDS,
     StepRecord,
@@ -17,7 +17,7 @@ from marl_explore.core.rewards import (
     team,
 )
 from marl_explore.core.world import advance, start
-from tests.boards import actions, arena
+from tests.helpers.boards import actions, arena
 
 
 def record(names, **changes):

@@ -7,16 +7,17 @@ import torch
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
-from marl_explore.config import ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, UNKNOWN
-from marl_explore.core.mapping import field_of_view, known_cells, known_mask, known_targets
+from marl_explore.core.links import within_range
+from marl_explore.core.mapping import known_cells, known_mask, known_targets
 from marl_explore.core.motion import action_mask, open_moves
-from marl_explore.core.radio import in_range
 from marl_explore.core.rewards import REWARDS
+from marl_explore.core.sensing import field_of_view
 from marl_explore.core.world import NEVER, advance, num_targets, resume, start
-from tests import reference
-from tests.boards import actions, arena, map_cells
-from tests.strategies import repeatable, scenarios
+from tests.helpers import oracle
+from tests.helpers.boards import actions, arena, map_cells
+from tests.helpers.strategies import repeatable, scenarios
 
 
 def start_of(scenario):
@@ -48,7 +49,7 @@ def complete_maps(state):
 
 def observed(config, state):
     """All that the package computes from a state, one arena a row."""
-    near = in_range(state.position, config.communication_cells)
+    near = within_range(state.position, config.communication_cells)
     return {
         "obstacles": state.obstacles,
         "position": state.position,
@@ -56,7 +57,7 @@ def observed(config, state):
         "unshared": state.unshared,
         "steps_since_merge": state.steps_since_merge,
         "step_count": state.step_count.squeeze(-1),
-        "in_range": near,
+        "linked": state.linked,
         "action_mask": action_mask(open_moves(state.view), near),
         "field_of_view": field_of_view(state.view),
         "known_cells": known_cells(known_mask(state.map)),
@@ -69,7 +70,7 @@ def observed(config, state):
 
 def expected(rules, world):
     """The oracle's values of one arena under the names of ``observed``."""
-    targets = reference.target_cells(world.obstacles, world.positions)
+    targets = oracle.target_cells(world.obstacles, world.positions)
     return {
         "obstacles": world.obstacles,
         "position": [list(position) for position in world.positions],
@@ -77,16 +78,16 @@ def expected(rules, world):
         "unshared": world.unshared,
         "steps_since_merge": world.steps_since_merge,
         "step_count": world.step_count,
-        "in_range": reference.in_range(rules, world),
-        "action_mask": reference.action_mask(rules, world),
+        "linked": oracle.in_range(rules, world),
+        "action_mask": oracle.action_mask(rules, world),
         "field_of_view": [
-            reference.field_of_view(rules, world, robot) for robot in range(rules.num_agents)
+            oracle.field_of_view(rules, world, robot) for robot in range(rules.num_agents)
         ],
-        "known_cells": [reference.known_cells(map_) for map_ in world.maps],
+        "known_cells": [oracle.known_cells(map_) for map_ in world.maps],
         "target": targets,
         "num_targets": sum(row.count(True) for row in targets),
-        "known_targets": [reference.known_targets(map_, targets) for map_ in world.maps],
-        "complete": [reference.complete(map_, targets) for map_ in world.maps],
+        "known_targets": [oracle.known_targets(map_, targets) for map_ in world.maps],
+        "complete": [oracle.complete(map_, targets) for map_ in world.maps],
     }
 
 
@@ -100,7 +101,7 @@ def assert_record_agrees(record, after, events, worlds):
     for name in ("dangerous", "merged", "discovered", "received"):
         assert getattr(record, name).tolist() == [getattr(event, name) for event in events], name
     assert record.known.tolist() == [
-        [reference.known_cells(map_) for map_ in world.maps] for world in worlds
+        [oracle.known_cells(map_) for map_ in world.maps] for world in worlds
     ]
     assert record.complete.tolist() == complete_maps(after).any(-1).tolist()
     for name, reward in REWARDS.items():
@@ -112,7 +113,7 @@ def assert_record_agrees(record, after, events, worlds):
 @given(scenario=scenarios())
 def test_whole_episodes_agree_with_the_reference(scenario):
     worlds = [
-        reference.reset(scenario.rules, obstacles, positions)
+        oracle.reset(scenario.rules, obstacles, positions)
         for obstacles, positions in zip(
             scenario.obstacles.tolist(), scenario.positions.tolist(), strict=True
         )
@@ -120,7 +121,7 @@ def test_whole_episodes_agree_with_the_reference(scenario):
     assert_state_agrees(scenario, start_of(scenario), worlds)
     for _, action, after, record in steps_of(scenario):
         stepped = [
-            reference.step(scenario.rules, world, chosen)
+            oracle.step(scenario.rules, world, chosen)
             for world, chosen in zip(worlds, action.tolist(), strict=True)
         ]
         worlds = [world for world, _ in stepped]
@@ -139,7 +140,7 @@ def both_refused(before, action, record, cells):
 
 
 def targets_of(before, action):
-    offsets = torch.tensor([*reference.COMPASS, (0, 0), (0, 0)])
+    offsets = torch.tensor([*oracle.COMPASS, (0, 0), (0, 0)])
     return before.position + offsets[action]
 
 
@@ -152,17 +153,17 @@ def crossing(config, before, action, after, record):
 
 
 def masked_action(config, before, action, after, record):
-    near = in_range(before.position, config.communication_cells)
+    near = within_range(before.position, config.communication_cells)
     mask = action_mask(open_moves(before.view), near)
     return ~mask.gather(-1, action.unsqueeze(-1))
 
 
 def relay(config, before, action, after, record):
-    return record.network & ~in_range(after.position, config.communication_cells)
+    return record.network & ~within_range(after.position, config.communication_cells)
 
 
 def long_relay(config, before, action, after, record):
-    near = in_range(after.position, config.communication_cells).float()
+    near = within_range(after.position, config.communication_cells).float()
     return record.network & (near @ near == 0)  # not even a common neighbour
 
 
@@ -223,7 +224,7 @@ def test_a_map_is_complete_exactly_when_it_has_no_reachable_frontier(scenario):
     for _, _, state, _ in steps_of(scenario):
         exhausted = [
             [
-                reference.trajectories(map_, position) == []
+                oracle.trajectories(map_, position) == []
                 for map_, position in zip(maps, positions, strict=True)
             ]
             for maps, positions in zip(state.map.tolist(), state.position.tolist(), strict=True)

@@ -8,7 +8,7 @@ import torch
 from marl_explore.core.grid import STAY
 from marl_explore.planners import FrontierAssignment, UtilityCost, hungarian, never
 from marl_explore.planners.assignment import DETOUR, Auction
-from tests.planners.situations import knowing, names, on_board
+from tests.helpers.situations import knowing, names, on_board
 
 STRATEGIES = {
     "utility": UtilityCost(),
@@ -78,14 +78,14 @@ def test_frontiers_beside_a_chosen_one_lose_utility():
 
 def test_distances_are_those_of_known_paths_and_otherwise_straight_with_a_detour():
     """Robot 1 stands on the one frontier; the way between the robots is unknown."""
-    env, td = on_board("0.....1", 1, 7)
+    _env, td = on_board("0.....1", 1, 7)
     auctions = []
 
     def watched(auction):
         auctions.append(auction)
         return hungarian(auction)
 
-    planner = FrontierAssignment(never, env.config.communication_cells, watched)
+    planner = FrontierAssignment(never, watched)
     planner.plan(knowing(td, "..??...", "..??..."))
     apart = auctions[0].distance.long()
     assert apart[0, 0, :2].tolist() == [0, 1]
@@ -94,8 +94,8 @@ def test_distances_are_those_of_known_paths_and_otherwise_straight_with_a_detour
 
 @pytest.mark.parametrize("assign", STRATEGIES.values(), ids=STRATEGIES)
 def test_robots_walk_round_each_other_and_stay_when_all_is_known(assign):
-    env, td = on_board("....\n.01.\n....", 3, 4)
-    planner = FrontierAssignment(never, env.config.communication_cells, assign)
+    _env, td = on_board("....\n.01.\n....", 3, 4)
+    planner = FrontierAssignment(never, assign)
     known = "....\n....\n...."
     assert planner.plan(knowing(td, known, known)).tolist() == [[STAY, STAY]]
     # robot 0 wants to the east; robot 1, beside it, is in the straight way

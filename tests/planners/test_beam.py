@@ -10,8 +10,8 @@ import torch
 from marl_explore.core.grid import STAY, flat_cell
 from marl_explore.core.wavefront import path_distances
 from marl_explore.planners import BeamSearch
-from tests import reference
-from tests.boards import map_cells
+from tests.helpers import oracle
+from tests.helpers.boards import map_cells
 
 EVERYTHING = 9**4
 """Plans of two robots in two steps, or of one robot in four."""
@@ -22,9 +22,7 @@ def best_first_moves(search, unknown, occupied, positions, robots):
     blocked = [[bool(cell) for cell in row] for row in occupied.tolist()]
     free = [[not cell for cell in row] for row in blocked]
     cells = [(r, c) for r in range(len(free)) for c in range(len(free[0]))]
-    away = {
-        cell: reference.distances(free, blocked, cell) for cell in cells if free[cell[0]][cell[1]]
-    }
+    away = {cell: oracle.distances(free, blocked, cell) for cell in cells if free[cell[0]][cell[1]]}
     values = {}
     for plan in product(product(range(9), repeat=robots), repeat=search.horizon):
         value = plan_value(search, unknown, free, blocked, positions, plan, away)
@@ -41,9 +39,9 @@ def plan_value(search, unknown, free, blocked, positions, plan, away):
         for robot, move in enumerate(moves):
             if move == STAY:
                 continue
-            target = reference.shifted(here[robot], reference.COMPASS[move])
+            target = oracle.shifted(here[robot], oracle.COMPASS[move])
             others = [other for other in range(len(here)) if other != robot]
-            if not reference.may_move(free, blocked, here[robot], reference.COMPASS[move]):
+            if not oracle.may_move(free, blocked, here[robot], oracle.COMPASS[move]):
                 return None
             if any(target in (here[other], before[other]) for other in others):
                 return None
@@ -152,7 +150,7 @@ def test_path_distances_agree_with_the_reference():
     for board, targets, found in zip(free, cells, distance, strict=True):
         blocked = (~board).tolist()
         for start, is_free in cells_of(board):
-            expected = reference.distances(board.tolist(), blocked, start) if is_free else {}
+            expected = oracle.distances(board.tolist(), blocked, start) if is_free else {}
             row = found[flat_cell(torch.tensor(start), 7)].tolist()
             places = [divmod(cell, 7) for cell in targets.tolist()]
             assert row == [expected.get(place, 255) for place in places]

@@ -6,7 +6,7 @@ import torch
 
 from marl_explore.core.grid import COMMUNICATE, STAY
 from marl_explore.planners import GainThreshold, PairTimer, SharedClock, never
-from tests.planners.situations import on_board
+from tests.helpers.situations import on_board
 
 
 def said(rule, env, td, steps):
@@ -22,30 +22,30 @@ def said(rule, env, td, steps):
 
 def test_the_pair_timer_talks_to_strangers_and_then_waits():
     env, td = on_board("0.1.....", 1, 8, communication_range=1.0)
-    rule = PairTimer(3, env.config.communication_cells)
+    rule = PairTimer(3)
     both, nobody = [True, True], [False, False]
     assert said(rule, env, td, 6) == [both, nobody, nobody, nobody, both, nobody]
 
 
 def test_the_pair_timer_does_not_talk_out_of_range():
-    env, td = on_board("0...1", 1, 5, communication_range=1.0)
-    assert not PairTimer(3, env.config.communication_cells)(td).any()
+    _, td = on_board("0...1", 1, 5, communication_range=1.0)
+    assert not PairTimer(3)(td).any()
 
 
 def test_a_shared_clock_strikes_for_robots_in_range():
     env, td = on_board("0.1...2", 1, 7, communication_range=1.0)
-    rule = SharedClock(2, 3, env.config.communication_cells)
+    rule = SharedClock(2, 3)
     pair, nobody = [True, True, False], [False, False, False]
     assert said(rule, env, td, 7) == [nobody, nobody, pair, nobody, nobody, pair, nobody]
 
 
 def test_the_gain_threshold_counts_what_a_robot_has_to_give():
-    env, td = on_board("0.1..", 1, 5, communication_range=1.0)
-    cells = env.config.communication_cells
+    _, td = on_board("0.1..", 1, 5, communication_range=1.0)
     assert td["agents", "unshared"].tolist() == [[[0, 2], [3, 0]]]
-    assert GainThreshold(2, cells)(td).tolist() == [[True, True]]
-    assert GainThreshold(3, cells)(td).tolist() == [[False, True]]
-    assert GainThreshold(2, 1.0)(td).tolist() == [[False, False]]
+    assert GainThreshold(2)(td).tolist() == [[True, True]]
+    assert GainThreshold(3)(td).tolist() == [[False, True]]
+    _, apart = on_board("0.1..", 1, 5, communication_range=0.5)
+    assert GainThreshold(2)(apart).tolist() == [[False, False]]
 
 
 def test_never_is_never():

@@ -7,11 +7,13 @@ import torch
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core.grid import STAY
-from marl_explore.core.radio import in_range
-from marl_explore.evaluation import evaluate, find_policy, watch
+from marl_explore.core.links import within_range
+from marl_explore.evaluation.episodes import watch
+from marl_explore.evaluation.registry import find_policy
+from marl_explore.evaluation.results import evaluate
 from marl_explore.planners import PLANNERS, NearestFrontier, never
-from tests import reference
-from tests.planners.situations import on_board
+from tests.helpers import oracle
+from tests.helpers.situations import on_board
 
 
 @pytest.mark.parametrize("name", sorted(PLANNERS))
@@ -43,7 +45,7 @@ def test_nearest_frontier_goes_the_reference_way():
         td["agents", "position"].flatten(0, 2).tolist(),
         strict=True,
     ):
-        paths = reference.trajectories(grid, position)
+        paths = oracle.trajectories(grid, position)
         if paths:
             _, direction = min((length, first) for first, length in paths)
             assert wanted == direction
@@ -137,7 +139,7 @@ def test_a_robot_decides_by_what_it_can_know(name):
         for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
             changed["agents", key][:, 1:] = 0
         position = changed["agents", "position"]
-        far = ~in_range(position, config.communication_cells)[:, 0]
+        far = ~within_range(position, config.communication_cells)[:, 0]
         hiding = torch.where(position[:, :1] < 6, 11, 0).expand_as(position)  # the farthest corner
         position[far] = hiding[far]
         moved += int(far.sum())

@@ -13,13 +13,13 @@ from marl_explore.planners import (
     counting_bound,
     never,
 )
-from tests.planners.situations import knowing, names, on_board
+from tests.helpers.situations import knowing, names, on_board, placed
 
 
 def test_robots_exchange_by_the_clock_and_explore_meanwhile():
     config = ArenaConfig(height=20, width=20, num_agents=2, communication_range=20.0)
     env = ExplorationEnv(config, num_envs=4)
-    planner = Rendezvous(config, SharedClock(4, 3, config.communication_cells), answer=False)
+    planner = Rendezvous(config, SharedClock(4, 3), answer=False)
     td, merged = env.reset(), []
     for _ in range(8):
         td = env.step(planner(td))["next"]
@@ -39,9 +39,9 @@ def test_with_others_cells_left_a_robot_walks_to_whom_it_saw_last():
     env, td = on_board("0.........1", 1, 11, communication_range=2.5)  # 5 cells
     planner = Rendezvous(env.config, never, patience_steps=3)
     known, other = "........???", "???????...."
-    td["agents", "position"] = torch.tensor([[[0, 4], [0, 9]]])
+    td = placed(env, td, [0, 4], [0, 9])
     assert names(planner.plan(knowing(td, known, other)))[0] == "talk"
-    td["agents", "position"] = torch.tensor([[[0, 3], [0, 10]]])
+    td = placed(env, td, [0, 3], [0, 10])
     for step in range(1, 5):
         td["step_count"] = torch.tensor([[step]])
         assert names(planner.plan(knowing(td, known, other)))[0] == "E"
@@ -52,8 +52,7 @@ def test_with_others_cells_left_a_robot_walks_to_whom_it_saw_last():
 def test_memory_starts_anew_with_an_episode():
     env, td = on_board("0....1", 1, 6, communication_range=1.0)  # 2 cells
     planner = Rendezvous(env.config, never)
-    near = td.clone()
-    near["agents", "position"] = torch.tensor([[[0, 0], [0, 2]]])
+    near = placed(env, td, [0, 0], [0, 2])
     planner.plan(near)
     assert planner._sightings.covered.any()
     planner.plan(td)

@@ -7,11 +7,11 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marl_explore.codes import COMPASS
+from marl_explore.config.constants import COMPASS
 from marl_explore.robot.agreement import agree, target
 from marl_explore.robot.messages import Intent
-from tests.boards import actions, arena
-from tests.strategies import repeatable
+from tests.helpers.boards import actions, arena
+from tests.helpers.strategies import repeatable
 
 
 def ways(board, names):

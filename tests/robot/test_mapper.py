@@ -10,8 +10,8 @@ import pytest
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.geometry import Frame
 from marl_explore.robot.mapper import BeamModel, sight
-from tests.boards import arena
-from tests.robot.world import scan_of
+from tests.helpers.boards import arena
+from tests.helpers.robot_world import scan_of
 
 BOARD = """
     ......

@@ -18,8 +18,8 @@ from marl_explore.robot.mailbox import Mailbox
 from marl_explore.robot.mapper import BeamModel
 from marl_explore.robot.messages import Done, Intent, Share
 from marl_explore.robot.observation import in_range
-from tests.boards import map_cells
-from tests.strategies import repeatable
+from tests.helpers.boards import map_cells
+from tests.helpers.strategies import repeatable
 
 GAINS = ("max_forward", "max_turn", "arrival", "heading_tolerance", "forward_gain", "turn_gain")
 

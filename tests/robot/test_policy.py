@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from marl_explore.robot import ExportedPolicy
-from tests.robot.policy_file import policy_file
+from tests.helpers.policy_file import policy_file
 
 
 def changed(folder, spec=None, arrays=None):
@@ -31,11 +31,11 @@ def test_a_whole_file_is_taken(tmp_path):
     ("spec", "message"),
     [
         ({"arena": None}, "its spec has no 'arena'"),
-        ({"without": None}, "its spec has no 'without'"),
-        ({"architecture": None}, "its spec has no 'architecture'"),
-        ({"architecture": "gnn"}, "architecture='gnn' is not allowed: .*mlp"),
+        ({"ablate": None}, "its spec has no 'ablate'"),
+        ({"twin": None}, "its spec has no 'twin'"),
+        ({"twin": "gnn"}, "twin='gnn' is not allowed: .*mlp"),
         ({"fpr": "nearest"}, "fpr='nearest' is not allowed: .*relative"),
-        ({"without": ["sight"]}, r"without=\['sight'\] is not allowed: .*fov"),
+        ({"ablate": ["sight"]}, r"ablate=\['sight'\] is not allowed: .*fov"),
         ({"arena": {"heigth": 12}}, "heigth"),
         ({"arena": {"height": 0}}, "height=0 is not allowed"),
     ],

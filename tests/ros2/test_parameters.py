@@ -9,7 +9,7 @@ import yaml
 
 from marl_explore.robot import BarrierClock, PeriodClock
 from marl_explore.ros2.parameters import RobotParameters, flat, replaced
-from tests.robot.policy_file import policy_file
+from tests.helpers.policy_file import policy_file
 
 CONFIG = Path(__file__).parents[2] / "marl_explore" / "ros2" / "config"
 

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import torch
 from benchmarl.algorithms import Mappo, MappoConfig
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 from torchrl.data import Composite
 from torchrl.objectives import LossModule
 
-from marl_explore.factor import FactorWatch, factor_statistics
-from marl_explore.happo import HAPPOLoss
-
-LOGGED = ("loss_objective", "entropy", "kl_approx", "clip_fraction")
-"""What is logged of the actors, in the mean over them."""
+from marl_explore.happo.diagnostics import FactorWatch
+from marl_explore.happo.loss import HAPPOLoss
+from marl_explore.happo.update import sequential_update
 
 ONLY = {
     "share_param_critic": True,
@@ -140,22 +139,24 @@ class Happo(Mappo):
         flat = batch.reshape(-1)
         data = team.split(flat, [*team.in_keys, *team.out_keys])
         data.set("advantage", flat.get("advantage"))
-        reports, order = [], loss.update_order()
-        for name in order:
-            reports.append(self._update(loss, name, data))
-            if name != order[-1]:
-                loss.update_factor(data, name)
-        factor = factor_statistics(data.get("factor", torch.ones(1)))  # one agent has none
-        self._watch(factor["factor_ess"], self.experiment.n_iters_performed + 1)
-        loss.reports = {key: sum(r[key] for r in reports) / len(reports) for key in LOGGED} | factor
+        loss.reports = sequential_update(loss, data, self._minibatches, partial(self._step, loss))
+        self._watch(loss.reports["factor_ess"], self.experiment.n_iters_performed + 1)
         return batch
 
     def process_loss_vals(self, group: str, loss_vals: TensorDictBase) -> TensorDictBase:
         """Nothing: the only loss left is the critic's."""
         return loss_vals
 
-    def _update(self, loss: HAPPOLoss, name: str, data: TensorDictBase) -> dict[str, float]:
-        """All passes of an actor; what is logged, of the last minibatch."""
+    def _minibatches(self, data: TensorDictBase, keys: list[NestedKey]) -> Iterator[TensorDictBase]:
+        """All minibatches of all passes of an actor."""
+        config = self.experiment_config
+        size = config.train_minibatch_size(self.on_policy)
+        for _ in range(config.n_optimizer_steps(self.on_policy)):
+            for rows in torch.randperm(len(data), device=data.device).split(size):
+                yield data[rows]
+
+    def _step(self, loss: HAPPOLoss, name: str, losses: TensorDictBase) -> None:
+        """One step of an actor's optimiser."""
         config = self.experiment_config
         if name not in self._optimizers:
             self._optimizers[name] = torch.optim.Adam(
@@ -165,15 +166,10 @@ class Happo(Mappo):
                 **config.adam_extra_kwargs,
             )
         optimizer = self._optimizers[name]
-        size = config.train_minibatch_size(self.on_policy)
-        for _ in range(config.n_optimizer_steps(self.on_policy)):
-            for rows in torch.randperm(len(data), device=data.device).split(size):
-                losses = loss.actor_loss(data[rows], name)
-                optimizer.zero_grad()
-                (losses["loss_objective"] + losses["loss_entropy"]).backward()
-                self.experiment._grad_clip(optimizer)
-                optimizer.step()
-        return {key: losses[key].item() for key in LOGGED}
+        optimizer.zero_grad()
+        (losses["loss_objective"] + losses["loss_entropy"]).backward()
+        self.experiment._grad_clip(optimizer)
+        optimizer.step()
 
 
 def _share_reward(group: str, batch: TensorDictBase) -> None:

@@ -9,8 +9,8 @@ from benchmarl.environments.common import TaskClass
 from torchrl.data import Composite
 from torchrl.envs import CatTensors, EnvBase, FlattenObservation, Transform
 
-from marl_explore.config import ArenaConfig
-from marl_explore.make import make_env
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.envs.factory import make_env
 
 FEATURES = ("agents", "features")
 

@@ -20,7 +20,7 @@ from benchmarl.models import GruConfig, MlpConfig
 from torch import nn
 
 from marl_explore import ArenaConfig
-from marl_explore.tables import number
+from marl_explore.utils.tables import number
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # BenchMARL's and VMAS's own
 

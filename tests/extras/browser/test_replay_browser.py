@@ -13,9 +13,10 @@ from PIL import Image
 
 from marl_explore import ArenaConfig
 from marl_explore.core.frontier import frontier_mask
-from marl_explore.evaluation import find_policy, watch
-from marl_explore.palette import COLORS
-from marl_explore.replay import write_replay
+from marl_explore.evaluation.episodes import watch
+from marl_explore.evaluation.registry import find_policy
+from marl_explore.evaluation.replay import write_replay
+from marl_explore.utils.palette import COLORS
 
 CONFIG = ArenaConfig()
 POLICIES = ("nearest-timer", "random")

@@ -39,7 +39,7 @@ def learner(recipe, sequential=True):
     arguments = recipe.Arguments(max_steps=5)
     if hasattr(arguments, "num_envs"):
         arguments = replace(arguments, num_envs=10)
-    settings = {"frames": 100, "updates": 2, "epochs": 2, "hidden": (16,), "minibatches": 1}
+    settings = {"frames": 100, "updates": 2, "epochs": 2, "hidden": (16,), "num_minibatches": 1}
     train = replace(arguments.train, **settings)
     torch.manual_seed(0)
     shared = importlib.import_module("happo_mappo")
@@ -138,7 +138,9 @@ def test_actions_of_vmas_are_continuous_and_within_their_bounds():
 @pytest.mark.parametrize("name", RECIPES)
 def test_the_command_writes_runs_curves_and_a_summary(tmp_path, name):
     out = tmp_path / "out"
-    short = "--max-steps 5 --frames 100 --updates 2 --minibatches 1 --epochs 1 --seeds 0,3".split()
+    short = (
+        "--max-steps 5 --frames 100 --updates 2 --num-minibatches 1 --epochs 1 --seeds 0,3".split()
+    )
     envs = ["--num-envs", "10"] if name == "happo_vmas" else []
     command = [sys.executable, str(ROOT / "recipes" / f"{name}.py"), *short, *envs, "--out", out]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)

@@ -9,10 +9,10 @@ import onnx
 import onnxruntime
 import pytest
 
-from marl_explore.export import INPUTS, OUTPUTS, example_inputs, export_npz, export_onnx
+from marl_explore.policies.export import INPUTS, OUTPUTS, example_inputs, export_npz, export_onnx
 from marl_explore.robot import ExportedPolicy
-from tests.test_export import expected
-from tests.test_policies import a_policy
+from tests.policies.test_export import expected
+from tests.policies.test_policies import a_policy
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"
@@ -27,19 +27,19 @@ def run(path, inputs):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"without": ("fpr", "communication")}, {"shared": True}],
+    [{}, {"ablate": ("fpr", "communication")}, {"shared": True}],
     ids=["full", "without", "shared"],
 )
-@pytest.mark.parametrize("architecture", ["mlp", "cnn"])
-def test_onnxruntime_agrees_on_1000_observations(tmp_path, architecture, options):
-    policy = a_policy(architecture, **options)
+@pytest.mark.parametrize("network", ["mlp", "cnn"])
+def test_onnxruntime_agrees_on_1000_observations(tmp_path, network, options):
+    policy = a_policy(network, **options)
     paths = export_onnx(policy, tmp_path / "new")
     npz = export_npz(policy, tmp_path / "policy.npz")
     assert [path.name for path in paths] == [f"robot_{i}.onnx" for i in range(4)]
     for robot, path in enumerate(paths):
         onnx.checker.check_model(path)
         for rows in (1, 1000):
-            inputs = example_inputs(policy.spec.arena, rows, seed=robot)
+            inputs = example_inputs(policy.config.arena, rows, seed=robot)
             action, logits = expected(policy, robot, inputs)
             ours = run(path, inputs)
             np.testing.assert_allclose(ours[1], logits, rtol=1e-5, atol=1e-4)

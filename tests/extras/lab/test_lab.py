@@ -16,10 +16,10 @@ from vmas.simulator.environment import Environment
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.lab import LabRunner, Noise
 from marl_explore.lab.scenario import LabScenario
-from marl_explore.policies import save_policy
-from tests.boards import ACTIONS, arena
-from tests.robot.world import scan_of, scripted
-from tests.test_policies import a_policy
+from marl_explore.policies.io import save_policy
+from tests.helpers.boards import ACTIONS, arena
+from tests.helpers.robot_world import scan_of, scripted
+from tests.policies.test_policies import a_policy
 
 ROOT = Path(__file__).parents[3]
 

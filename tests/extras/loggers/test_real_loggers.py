@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from marl_explore import runs
-from tests.killing import CONFIG, RUN
+from marl_explore.training import runs
+from tests.helpers.killing import CONFIG, RUN
 
 # of the packages themselves
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import marl_explore
-from marl_explore.versions import versions
+from marl_explore.utils.versions import versions
 
 ROOT = Path(__file__).parents[3]
 CONSTRAINTS = ROOT / "constraints.txt"
@@ -22,7 +22,7 @@ EXTRAS = ("dev", "export", "lab", "mpe", "pursuit", "ray", "ros", "sb3")
 ONE_STEP = """
 import marl_explore
 from marl_explore import make_env
-from marl_explore.evaluation import find_policy
+from marl_explore import find_policy
 
 env = make_env(num_envs=2)
 env.rollout(1)
@@ -85,11 +85,11 @@ def installed(built, tmp_path_factory):
 
 def test_both_hold_every_file_of_the_package(built, files):
     sdist, wheel = built
-    assert {"marl_explore/py.typed", "marl_explore/replay/player.js"} < files
+    assert {"marl_explore/py.typed", "marl_explore/evaluation/replay/player.js"} < files
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     assert files <= names
-    kernel = {name for name in names if name.startswith("marl_explore/native/_frontier")}
+    kernel = {name for name in names if name.startswith("marl_explore/core/native/_frontier")}
     assert len(kernel) == 1
     assert {n for n in names if n.startswith("marl_explore/")} == files | kernel
     with tarfile.open(sdist) as archive:
@@ -119,7 +119,7 @@ def test_it_works_in_an_empty_environment(installed, tmp_path):
 
 def test_type_checkers_read_its_types(installed, tmp_path):
     (tmp_path / "user.py").write_text(
-        "from marl_explore.config import ArenaConfig\nreveal_type(ArenaConfig().height)\n"
+        "from marl_explore.config.arena import ArenaConfig\nreveal_type(ArenaConfig().height)\n"
     )
     checker = [sys.executable, "-m", "mypy", "--ignore-missing-imports", "--follow-imports=silent"]
     said = run(*checker, "--python-executable", installed, "user.py", cwd=tmp_path)

@@ -10,7 +10,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from recipes import foreign_maps as recipe
-from tests import reference
+from tests.helpers import oracle
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:PettingZoo in TorchRL is tested using:UserWarning",
@@ -47,7 +47,7 @@ def test_features_are_those_of_the_maps(env):
     team = env.rollout(8)[-1]["next", "pursuers"]
     for robot in range(8):
         place = tuple(team["position"][robot].tolist())
-        expected = reference.feature_table(team["map"][robot].tolist(), place, None)
+        expected = oracle.feature_table(team["map"][robot].tolist(), place, None)
         torch.testing.assert_close(team["fpr"][robot], torch.tensor(expected))
     far = torch.cdist(team["position"].double(), team["position"].double()) > recipe.RANGE_CELLS
     assert torch.equal(team["net"] == 0, far)

@@ -7,13 +7,13 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from marl_explore import ArenaConfig, ExplorationEnv
-from marl_explore.codes import COMMUNICATE
+from marl_explore.config.constants import COMMUNICATE
 from marl_explore.robot import BarrierClock, Envelope, Pose, RobotCore, Scan
 from marl_explore.robot.driving import Velocity
 from marl_explore.robot.messages import Done
 from marl_explore.ros2 import convert
-from marl_explore.ros2.recordings import Recorder, messages, replay
-from tests.robot.world import PATIENT, World
+from marl_explore.ros2.recordings import Recorder, messages, replay_recording
+from tests.helpers.robot_world import PATIENT, World
 
 TEAM = [f"robot_{number}" for number in range(4)]
 TICKS = 15
@@ -74,7 +74,7 @@ def reborn(robot, seed):
 def test_a_robot_that_lives_through_it_again_knows_the_same(team, robot):
     recording, cores = team
     again = reborn(robot, seed=robot)
-    assert replay(recording, again, TEAM) > 50 * TICKS
+    assert replay_recording(recording, again, TEAM) > 50 * TICKS
     then = cores[robot]
     assert np.array_equal(again.knowledge.map, then.knowledge.map)
     assert (again.tick, again.action) == (then.tick, then.action)
@@ -91,7 +91,7 @@ def test_the_team_exchanged_maps(team):
 def test_another_policy_acts_otherwise(team):
     recording, cores = team
     other = reborn(0, seed=99)
-    replay(recording, other, TEAM)
+    replay_recording(recording, other, TEAM)
     assert other.mail.sent_bytes != cores[0].mail.sent_bytes
 
 
@@ -134,4 +134,4 @@ def test_what_is_no_recording_is_refused(tmp_path):
     with Recorder(tmp_path / "bag", TEAM) as recorder:
         recorder.receive(0, Pose(0.0, 0, 0.0, 0.0, 0.0), 0.0)
     with pytest.raises(ValueError, match="no /robot_0/cmd_vel"):
-        replay(tmp_path / "bag", reborn(0, seed=0), TEAM)
+        replay_recording(tmp_path / "bag", reborn(0, seed=0), TEAM)

@@ -16,6 +16,7 @@ import importlib.util, math, sys
 for name in ("torch", "tensordict", "torchrl", "scipy"):
     assert importlib.util.find_spec(name) is None, name
 import numpy as np
+from marl_explore.policies.networks import MLP
 from marl_explore import ArenaConfig
 import marl_explore.ros2.convert, marl_explore.ros2.parameters
 from marl_explore.robot import BarrierClock, ExportedPolicy, Pose, RobotCore, Scan
@@ -42,10 +43,11 @@ def bare_python(tmp_path_factory):
 
 def test_a_robot_decides_without_torch(bare_python, tmp_path):
     from marl_explore import ArenaConfig
-    from marl_explore.export import export_npz
-    from marl_explore.policies import Policy, PolicySpec
+    from marl_explore.policies.export import export_npz
+    from marl_explore.policies.networks import MLP
+    from marl_explore.policies.policy import Policy, PolicyConfig
 
-    spec = PolicySpec(ArenaConfig(num_agents=2), "mlp", (16,), "proximity")
+    spec = PolicyConfig(ArenaConfig(num_agents=2), MLP(hidden=(16,)), "proximity")
     path = export_npz(Policy(spec, spec.make_actors()), tmp_path / "policy.npz")
     done = subprocess.run(
         [bare_python, "-c", CODE, path],

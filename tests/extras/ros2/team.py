@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import UInt8MultiArray, UInt32
 
-from marl_explore.codes import UNKNOWN
+from marl_explore.config.constants import UNKNOWN
 from marl_explore.robot.messages import Done, Share
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS

@@ -25,7 +25,7 @@ from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LETTERS, ParameterNode, run
 from marl_explore.ros2.parameters import RobotParameters
 from tests.extras.ros2.team import Team, Watcher
-from tests.robot.policy_file import policy_file
+from tests.helpers.policy_file import policy_file
 
 TICKS = 10
 BUNDLED = "paper-cnn-case1"
@@ -43,7 +43,7 @@ def policy(tmp_path):
 @pytest.fixture
 def bundled(tmp_path):
     from marl_explore import load_policy
-    from marl_explore.export import export_npz
+    from marl_explore.policies.export import export_npz
 
     return export_npz(load_policy(BUNDLED), tmp_path / "bundled.npz")
 

@@ -7,8 +7,10 @@ import subprocess
 
 import pytest
 
-from marl_explore import ArenaConfig, plots
-from marl_explore.evaluation import find_policy, watch
+from marl_explore import ArenaConfig
+from marl_explore.evaluation import plots
+from marl_explore.evaluation.episodes import watch
+from marl_explore.evaluation.registry import find_policy
 
 
 def test_episode_animation_writes_an_mp4_with_a_frame_per_step(tmp_path):

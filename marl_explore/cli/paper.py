@@ -1,0 +1,242 @@
+"""Compare trained policies with the paper's claims: a table, and its three evaluation figures.
+
+marl-explore paper mlp-case1=runs/a,runs/b mlp-case2=runs/c cnn-case1=runs/d cnn-case2=runs/e
+
+Each of the four names takes runs of several training seeds, or the folder of a sweep over seeds. As
+in the paper, there are 200 random arenas, the same for every policy, 300 steps, and sampled
+actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import mean
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import tyro
+
+from marl_explore.config.checks import require_integer
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from marl_explore.evaluation.metrics import Episodes
+
+STEPS = 300
+NAMES = ("mlp-case1", "mlp-case2", "cnn-case1", "cnn-case2")
+MEASURES = {
+    "coverage_at_20": "coverage at 20",
+    "coverage_at_150": "at 150",
+    "coverage_at_300": "at 300",
+    "spread_at_150": "deviation at 150",
+    "communication_share": "communicate",
+    "useful_share": "useful",
+    "large_enlargement_share": "merges > e_max",
+    "steps_to_100": "steps to 100 %",
+}
+"""The measures of the claims, and their columns in the table of policies."""
+
+Means = Mapping[str, Mapping[str, float]]
+"""Every measure of every policy, means over its seeds."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of ``marl-explore paper``."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """NAME=RUN,RUN,... or NAME=SWEEP for each of mlp-case1, mlp-case2, cnn-case1 and cnn-case2."""
+    num_arenas: int = 200
+    """Number of test arenas, the same for every policy."""
+    seed: int = 0
+    """Seed of the arenas and of sampled actions."""
+    out: Path = Path("paper")
+    """New folder for tables, figures and results.json."""
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        require_integer("num_arenas", self.num_arenas, 1)
+        require_integer("seed", self.seed, 0)
+
+
+class Claim(NamedTuple):
+    """A claim of the paper, and how it is tested on our numbers."""
+
+    text: str
+    measure: str
+    holds: Callable[[Mapping[str, float]], bool]
+    """From the measure of every policy to whether it agrees with the claim."""
+
+
+def everywhere(least: float, names: tuple[str, ...] = NAMES) -> Callable[..., bool]:
+    """Whether all policies with these names reach a value."""
+    return lambda values: all(values[name] >= least for name in names)
+
+
+def larger(*pairs: tuple[str, ...]) -> Callable[..., bool]:
+    """Whether the first policy of every pair has the larger value."""
+    return lambda values: all(values[a] > values[b] for a, b in pairs)
+
+
+CASE_1_OVER_2 = (("mlp-case1", "mlp-case2"), ("cnn-case1", "cnn-case2"))
+CASE_2_OVER_1 = tuple(pair[::-1] for pair in CASE_1_OVER_2)
+CNN_OVER_MLP = (("cnn-case1", "mlp-case1"), ("cnn-case2", "mlp-case2"))
+CLAIMS = (
+    Claim("all policies cover at least 80 % after 150 steps", "coverage_at_150", everywhere(0.80)),
+    Claim(
+        "CNN policies surpass 90 % by the end",
+        "coverage_at_300",
+        everywhere(0.90, ("cnn-case1", "cnn-case2")),
+    ),
+    Claim(
+        "case 2 reaches up to 99 %",
+        "coverage_at_300",
+        lambda values: max(values["mlp-case2"], values["cnn-case2"]) >= 0.99,
+    ),
+    Claim(
+        "arenas lie close around the average (read as: deviation at most 0.1)",
+        "spread_at_150",
+        lambda values: max(values.values()) <= 0.1,
+    ),
+    Claim("case 1 communicates more than case 2", "communication_share", larger(*CASE_1_OVER_2)),
+    Claim(
+        "communications are more effective with CNN than with MLP",
+        "useful_share",
+        larger(*CNN_OVER_MLP),
+    ),
+    Claim(
+        "case 1 has larger maps early (read as: step 20)",
+        "coverage_at_20",
+        larger(*CASE_1_OVER_2),
+    ),
+    Claim("case 2 has larger maps in the end", "coverage_at_300", larger(*CASE_2_OVER_1)),
+    Claim(
+        "merges bring more with case 2 (read as: share above e_max)",
+        "large_enlargement_share",
+        larger(*CASE_2_OVER_1),
+    ),
+)
+
+
+def measured(episodes: Episodes) -> dict[str, float]:
+    """Every measure of one policy."""
+    from marl_explore.evaluation import metrics
+
+    largest = metrics.coverage(episodes)["largest"]
+    spread = float(largest[:, 150].std(correction=0))
+    return metrics.summarize(episodes) | {"spread_at_150": spread}
+
+
+def claims_table(means: Means) -> str:
+    """The paper's claims, our numbers (in the order of ``NAMES``), and whether they agree."""
+    from marl_explore.utils import tables
+
+    rows = []
+    for claim in CLAIMS:
+        values = {name: means[name][claim.measure] for name in NAMES}
+        numbers = " / ".join(map(tables.number, values.values()))
+        rows.append([claim.text, numbers, "yes" if claim.holds(values) else "no"])
+    return tables.markdown(["the paper", " / ".join(NAMES), "agrees"], rows)
+
+
+def policies_table(seeds: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """The measures of every trained policy."""
+    from marl_explore.utils import tables
+
+    rows = [
+        [name, Path(run).name, *(tables.number(measures[key]) for key in MEASURES)]
+        for name, runs in seeds.items()
+        for run, measures in runs.items()
+    ]
+    return tables.markdown(["policy", "run", *MEASURES.values()], rows)
+
+
+def draw(episodes: Mapping[str, list[Episodes]], folder: Path) -> None:
+    """The paper's three figures, over all seeds of each policy."""
+    import torch
+
+    from marl_explore.evaluation import metrics, plots
+
+    def pooled(measure: Callable[[Episodes], Tensor]) -> dict[str, Tensor]:
+        return {name: torch.cat([measure(e) for e in parts]) for name, parts in episodes.items()}
+
+    plots.coverage_figure(pooled(lambda e: metrics.coverage(e)["largest"]), folder / "coverage.png")
+    share = {
+        name: {
+            key: torch.cat([metrics.shares(e)[key].each for e in parts])
+            for key in ("communication_share", "useful_share")
+        }
+        for name, parts in episodes.items()
+    }
+    plots.communication_figure(share, folder / "communication.png")
+    max_discovery = next(iter(episodes.values()))[0].max_discovery
+    plots.enlargement_figure(
+        pooled(metrics.enlargements), max_discovery, folder / "enlargements.png"
+    )
+
+
+def read_entries(words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The runs of each of the four policies.
+
+    Raises:
+        ValueError: when the names are not the four, a policy is given twice for the same name, or
+            a sweep is not finished.
+    """
+    from marl_explore.evaluation.leaderboard import parse_entries
+    from marl_explore.training.seeds import seed_runs
+
+    entries = {entry.name: entry.policies for entry in parse_entries(words)}
+    if set(entries) != set(NAMES):
+        raise ValueError(f"policies={sorted(entries)} is not allowed: name all of {NAMES}")
+    seeds = {name: tuple(seed_runs(*entries[name])) for name in NAMES}
+    for name, policies in seeds.items():
+        if len(set(policies)) < len(policies):
+            raise ValueError(f"{name}={list(policies)} is not allowed: each may appear only once")
+    return seeds
+
+
+def play(policy: str, arguments: Arguments) -> Episodes:
+    """The test episodes of one trained policy, in arenas like those of its training."""
+    from marl_explore.evaluation.episodes import record
+    from marl_explore.evaluation.registry import find_policy, training_arenas
+
+    arena, arenas = training_arenas(policy)
+    return record(
+        find_policy(policy, arena),
+        arena,
+        num_arenas=arguments.num_arenas,
+        steps=STEPS,
+        seed=arguments.seed,
+        arenas=arenas,
+    )
+
+
+def run(arguments: Arguments) -> None:
+    """Evaluate all runs; write tables and figures."""
+    from marl_explore.utils import records
+    from marl_explore.utils.files import write_text
+
+    entries = read_entries(arguments.policies)
+    settings = asdict(arguments) | {"out": str(arguments.out)}
+    how = records.provenance() | {"settings": settings}
+    records.require_new(arguments.out)
+    episodes = {n: [play(policy, arguments) for policy in entries[n]] for n in NAMES}
+    seeds = {
+        n: {p: measured(e) for p, e in zip(entries[n], episodes[n], strict=True)} for n in NAMES
+    }
+    means = {n: {key: mean(m[key] for m in seeds[n].values()) for key in MEASURES} for n in NAMES}
+    folder = records.new_folder(arguments.out)
+    tables = {"claims.md": claims_table(means), "policies.md": policies_table(seeds)}
+    for file, table in tables.items():
+        write_text(folder / file, table + "\n")
+        print(table, end="\n\n")
+    draw(episodes, folder)
+    records.write_json(folder / "results.json", how | {"results": seeds})
+    print(f"tables, figures and all measures: {folder}")
+
+
+def parse(words: Sequence[str], prog: str = "marl-explore paper") -> Arguments:
+    """Parse a command line."""
+    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words)

@@ -1,0 +1,116 @@
+"""Train a team with HAPPO, MAPPO or IPPO, or resume a stopped run.
+
+marl-explore train fast
+
+marl-explore train paper-cnn-case2 --seed 1 --out runs/cnn-case2-seed1
+
+marl-explore train fast --arenas rooms-32
+
+marl-explore resume runs/cnn-case2-seed1
+
+marl-explore train fast --seeds 0-4 --out runs/fast
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union
+
+import tyro
+
+from marl_explore.cli.common import OPTIONS, fitted, flag_value
+from marl_explore.cli.resume import Resume
+from marl_explore.config.checks import require_integer
+from marl_explore.config.run import RunConfig, parse_seeds
+from marl_explore.policies.networks import NETWORKS
+from marl_explore.training.config import TrainConfig
+from marl_explore.training.presets import PRESETS
+
+
+@dataclass(frozen=True)
+class Start:
+    """Options of ``marl-explore train``."""
+
+    train: TrainConfig = field(default_factory=TrainConfig)
+    network: Literal[tuple(NETWORKS)] = "mlp"  # type: ignore[valid-type]
+    """Kind of network; its options are separate flags."""
+    run: RunConfig = field(default_factory=RunConfig)
+    out: Path | None = None
+    """New run folder; default: runs/ followed by the time."""
+    seeds: str | None = None
+    """One run per seed, each in its own folder: 0-4 or 0,2,7; replaces seed."""
+    jobs: int | None = None
+    """Number of runs side by side, with seeds; default: as many as the cores allow."""
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        if self.seeds is not None:
+            parse_seeds(self.seeds)
+        if self.jobs is not None:
+            require_integer("jobs", self.jobs, 1)
+
+
+Arguments = Start | Resume
+
+
+def parse(
+    words: Sequence[str],
+    prog: str = "marl-explore train",
+    about: str | None = __doc__,
+    run: RunConfig | None = None,
+) -> Arguments:
+    """Parse a command line: a preset and changes to it, or a run to resume.
+
+    A suite fixes size and density, which other flags then cannot change. The options of a network
+    that it names replace those of the preset's network, also as flags.
+    """
+    run = run or RunConfig()
+    arenas, network = flag_value(words, "--arenas") or "uniform", flag_value(words, "--network")
+    choices: list[Any] = [
+        Annotated[
+            Start,
+            tyro.conf.subcommand(
+                name,
+                default=_start(config, arenas, network, run),
+                description=f"{config.network.name}, reward {config.reward}, "
+                f"{config.episodes} episodes",
+            ),
+        ]
+        for name, config in PRESETS.items()
+    ]
+    choices.append(Annotated[Resume, tyro.conf.subcommand("resume")])
+    kinds: Any = Union[tuple(choices)]  # noqa: UP007 - made at run time
+    return tyro.cli(kinds, prog=prog, description=about, args=words, config=OPTIONS)
+
+
+def _start(config: TrainConfig, arenas: str, network: str | None, run: RunConfig) -> Start:
+    """The defaults of a preset, with a kind of arenas and a network by name."""
+    config = replace(config, arena=fitted(config.arena, arenas))
+    kind = NETWORKS.get(network or config.network.name, type(config.network))
+    if not isinstance(config.network, kind):
+        critic_input = config.critic_input
+        if critic_input not in kind().critic_inputs:
+            critic_input = kind().critic_inputs[0]
+        config = replace(config, network=kind(), critic_input=critic_input)
+    return Start(config, config.network.name, run)
+
+
+def run(arguments: Arguments) -> None:
+    """Train, and print where the results are."""
+    from marl_explore.cli import resume
+    from marl_explore.training import runs, seeds
+
+    summary = None
+    if isinstance(arguments, Resume):
+        resume.run(arguments)
+        return
+    folder = arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S")
+    if arguments.seeds is not None:
+        wanted = parse_seeds(arguments.seeds)
+        summary = seeds.sweep(arguments.train, folder, wanted, arguments.run, arguments.jobs)
+    else:
+        runs.train(arguments.train, folder, arguments.run)
+    resume.report(folder, summary)

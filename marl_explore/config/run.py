@@ -1,0 +1,95 @@
+"""How a run is carried out, watched and kept; what is learned is told by ``TrainConfig``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from marl_explore.config.checks import require_integer
+
+CollectorKind = Literal["process", "multisync", "multiasync", "ray"]
+LoggerName = Literal["csv", "tensorboard", "wandb", "mlflow"]
+Selection = Literal["steps_to_80", "steps_to_90", "steps_to_95", "steps_to_99", "steps_to_100"]
+_CHOICES = {
+    "collector": get_args(CollectorKind),
+    "logger": get_args(LoggerName),
+    "select_by": get_args(Selection),
+}
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Where data are collected, and what is kept of a run.
+
+    Of these only ``collector`` and ``workers`` touch what is learned: every worker draws its
+    actions from a random generator of its own.
+
+    Raises:
+        ValueError: naming the field, its value and what is allowed.
+    """
+
+    collector: CollectorKind = "process"
+    """Who collects: this process, worker processes in step or not, or Ray's workers."""
+    workers: int = 1
+    """Workers that share the arenas evenly."""
+    ray_address: str | None = None
+    """Ray cluster to join, "auto" or host:port; None: Ray is started on this machine."""
+    threads: int = 1
+    """CPU threads of torch."""
+    checkpoint_every: int = 20
+    """Updates between checkpoints; 0: only one at the end."""
+    keep_checkpoints: int = 3
+    """Checkpoints kept, the newest."""
+    validate_every: int = 50
+    """Updates between validations of the policy; 0: never."""
+    validation_arenas: int = 64
+    """Arenas of a validation, the same in all of them and apart from training's and test's."""
+    validation_steps: int | None = None
+    """Steps of an episode of a validation; None: those of an evaluation on the run's arenas."""
+    select_by: Selection = "steps_to_100"
+    """Measure of a validation whose smallest value makes the policy the best one."""
+    logger: LoggerName = "csv"
+    """Where metrics go, beside the CSV files that are always written."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("workers", "threads", "keep_checkpoints"):
+            require_integer(name, getattr(self, name), 1)
+        require_integer("validation_arenas", self.validation_arenas, 1)
+        if self.validation_steps is not None:
+            require_integer("validation_steps", self.validation_steps, 1)
+        for name in ("checkpoint_every", "validate_every"):
+            require_integer(name, getattr(self, name), 0)
+        for name, allowed in _CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}={getattr(self, name)!r} is not allowed: use {allowed}")
+        if self.collector == "process" and self.workers > 1:
+            raise ValueError(
+                f"workers={self.workers} is not allowed with collector='process': use "
+                f"{_CHOICES['collector'][1:]}"
+            )
+        if self.ray_address is not None and self.collector != "ray":
+            raise ValueError(
+                f"ray_address={self.ray_address!r} needs collector='ray', "
+                f"got collector={self.collector!r}"
+            )
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds in words: ranges and numbers, "0-4" or "0,2,7-9".
+
+    Raises:
+        ValueError: for anything else, and for a seed that comes twice.
+    """
+    seeds: list[int] = []
+    for part in text.split(","):
+        bounds = part.split("-")
+        span = range(0)
+        if len(bounds) <= 2 and all(bound.isdecimal() for bound in bounds):
+            span = range(int(bounds[0]), int(bounds[-1]) + 1)
+        if not span:
+            raise ValueError(f"seeds={text!r} is not allowed: use a range 0-4 or a list 0,2,7")
+        seeds += span
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds={text!r} is not allowed: every seed must come once")
+    return seeds

@@ -1,0 +1,172 @@
+"""What robots see: the one place that knows the shape and the reach of their sensors.
+
+What stands around each robot, what that writes into its map, and what it could expect to see from
+other cells.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from marl_explore.core.grid import (
+    COMPASS,
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    compass,
+    flat_cell,
+    square_steps,
+    squares,
+    straight_distances,
+)
+
+OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 4
+"""What stands in a cell around a robot (int8, a bit each); UNSEEN is outside or hidden."""
+
+
+def bordered(obstacles: Tensor, radius: int) -> Tensor:
+    """Obstacles bool [*B, H, W] as codes with a border of UNSEEN, int8 [*B, H + 2k, W + 2k]."""
+    return torch.nn.functional.pad(obstacles.to(torch.int8), (radius,) * 4, value=UNSEEN)
+
+
+def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool = False) -> Tensor:
+    """What stands in the square around each robot; the own cell is OPEN.
+
+    Args:
+        walls: ``bordered`` obstacles, int8 [*B, H + 2k, W + 2k].
+        position: int64 [*B, N, 2].
+        radius: half side k of the square (cells).
+        occlusion: whether two obstacles hide the diagonal cell behind them (k = 1 only).
+
+    Returns:
+        int8 [*B, N, 2k + 1, 2k + 1], row 0 north.
+    """
+    side, stride = 2 * radius + 1, walls.shape[-1]
+    own = flat_cell(position, stride) + radius * (stride + 1)
+    occupied = walls.flatten(-2).scatter(-1, own, ROBOT)
+    index = own.unsqueeze(-1) + square_steps(radius, stride, walls.device)
+    view = occupied.gather(-1, index.flatten(-2)).view(*own.shape, side, side)
+    view[..., radius, radius].fill_(OPEN)
+    if occlusion:
+        wall = view == WALL
+        hidden = wall[..., ::2, 1:2] & wall[..., 1:2, ::2]
+        view[..., ::2, ::2].masked_fill_(hidden, UNSEEN)
+    return view
+
+
+def beside(view: Tensor) -> Tensor:
+    """The cells that the eight moves lead to, and the own cell, [*B, N, 9] of ``surroundings``."""
+    return view.flatten(-2).index_select(-1, _places(view.shape[-1] // 2, view.device))
+
+
+@lru_cache
+def _places(radius: int, device: torch.device) -> Tensor:
+    """Where the eight moves and staying lead to in a flattened square, int64 [9]."""
+    side = 2 * radius + 1
+    cells = [(radius + r) * side + radius + c for r, c in (*COMPASS, (0, 0))]
+    return torch.tensor(cells, device=device)
+
+
+def field_of_view(view: Tensor) -> Tensor:
+    """What each robot's sensor reads: obstacles, other robots and what is unseen are 1.
+
+    Args:
+        view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
+
+    Returns:
+        float32 of the same shape; the own cell is 0.
+    """
+    return view.clamp_max(1).float()
+
+
+class Sensed(NamedTuple):
+    """Maps after sensing, and what was new."""
+
+    map: Tensor
+    """int8 [*B, N, H, W], a new tensor."""
+    cell: Tensor
+    """Seen cells of the flattened arena, int64 [*B, N, (2k + 1)^2]."""
+    fresh: Tensor
+    """Whether such a cell was unknown, bool."""
+
+    @property
+    def discovered(self) -> Tensor:
+        """Cells that were new to each robot's map, int64 [*B, N]."""
+        return self.fresh.sum(-1)
+
+    def discovered_of(self, target: Tensor) -> Tensor:
+        """New cells among those of a mask bool [*B, H, W], int64 [*B, N]."""
+        chosen = target.flatten(-2).gather(-1, self.cell.flatten(-2)).view(self.cell.shape)
+        return (self.fresh & chosen).sum(-1)
+
+
+def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False) -> Sensed:
+    """Maps with what each robot sees around it written in.
+
+    Args:
+        grid: maps that know the robots' own cells, int8 [*B, N, H, W].
+        view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
+        position: int64 [*B, N, 2].
+        occlusion: whether cells on the grid may be hidden.
+    """
+    # what cannot be seen is written as the own cell once more, which is known and no wall
+    height, width = grid.shape[-2:]
+    own = flat_cell(position, width)
+    cells = squares(height, width, view.shape[-1] // 2, view.device)
+    view = view.flatten(-2)
+    cell = cells.index_select(0, own.flatten()).view(view.shape)
+    if occlusion:
+        cell = torch.where(view == UNSEEN, own.unsqueeze(-1), cell)
+    known = grid.flatten(-2)
+    fresh = known.gather(-1, cell) == UNKNOWN
+    return Sensed(known.scatter(-1, cell, view & WALL).view(grid.shape), cell, fresh)
+
+
+def unknown_around(grid: Tensor, radius: int) -> Tensor:
+    """Unknown cells in the square around each cell, float32 [*B, H, W], of maps [*B, H, W]."""
+    unknown = (grid == UNKNOWN).float().reshape(-1, 1, *grid.shape[-2:])
+    side = 2 * radius + 1
+    mean = torch.nn.functional.avg_pool2d(unknown, side, stride=1, padding=radius)
+    return (mean * side**2).round().view(grid.shape)
+
+
+def step_gains(grid: Tensor, position: Tensor, radius: int) -> Tensor:
+    """Cells a robot would see for the first time after each move.
+
+    Args:
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2].
+        radius: of the square it sees (cells).
+
+    Returns:
+        float32 [*B, 8]; 0 where the move is known to be blocked.
+    """
+    height, width = grid.shape[-2:]
+    target = position.unsqueeze(-2) + compass(grid.device)
+    size = torch.tensor([height, width], device=grid.device)
+    inside = ((target >= 0) & (target < size)).all(-1)
+    target = target.clamp(torch.zeros_like(size), size - 1)
+
+    def at(cells: Tensor, row: Tensor, column: Tensor) -> Tensor:
+        return cells.flatten(-2).gather(-1, row * width + column)
+
+    row, column = target.unbind(-1)
+    own_row, own_column = (entry.expand_as(row) for entry in position.unsqueeze(-2).unbind(-1))
+    walled = (at(grid, row, own_column) == OCCUPIED) & (at(grid, own_row, column) == OCCUPIED)
+    diagonal = (row != own_row) & (column != own_column)
+    allowed = inside & (at(grid, row, column) == FREE) & ~(walled & diagonal)
+    return at(unknown_around(grid, radius), row, column) * allowed
+
+
+def cells_in_view(radius: int) -> int:
+    """Cells that a robot sees at once, its own included."""
+    return (2 * radius + 1) ** 2
+
+
+def in_view(position: Tensor, height: int, width: int, radius: int) -> Tensor:
+    """Cells that a robot at positions int64 [*B, 2] sees, bool [*B, H, W]."""
+    return straight_distances(position, height, width) <= radius

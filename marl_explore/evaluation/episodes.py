@@ -1,0 +1,158 @@
+"""Episodes of policies on arenas they never saw: played, watched, recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import step_mdp
+
+from marl_explore.arenas import Generator, default_steps
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require_integer
+from marl_explore.core.mapping import known_mask, target_cells, union_of
+from marl_explore.envs.exploration import ExplorationEnv
+from marl_explore.evaluation.metrics import Episodes, Snapshot, snapshot
+
+Actor = Callable[[TensorDictBase], TensorDictBase]
+
+TEST_STREAM = "test"
+EVENTS = ("dangerous", "merged", "discovered", "received")
+
+
+def play(
+    policy: Actor, env: ExplorationEnv, steps: int, until_done: bool = False
+) -> Iterator[TensorDictBase]:
+    """The observations of an episode, the reset's first.
+
+    Each later one also holds the ("agents", "action") that led to it.
+
+    Args:
+        policy: TensorDict in, action out.
+        env: reset by this function, never in between.
+        steps: most steps to take.
+        until_done: whether to stop when every arena is done.
+    """
+    observation = env.reset()
+    yield observation
+    for _ in range(steps):
+        # a copy, so that the action is not written into the observation that was handed out
+        stepped = env.step(policy(observation.clone(recurse=False)))
+        observation = step_mdp(stepped, exclude_action=False)
+        yield observation
+        if until_done and observation["done"].all():
+            return
+
+
+def watch(
+    policy: Actor,
+    config: ArenaConfig | None,
+    arena_index: int = 0,
+    steps: int | None = None,
+    seed: int = 0,
+    stream: str = TEST_STREAM,
+    arenas: str | Generator = "uniform",
+) -> list[TensorDictBase]:
+    """The observations of one arena's episode until a robot's map is complete, batch [1].
+
+    Deterministic given the seed; for figures and replays.
+
+    Args:
+        policy: TensorDict in, action out.
+        arena_index: which arena of the stream; row i of ``record`` is arena i.
+        config, steps, seed, stream, arenas: as for ``record``.
+    """
+    require_integer("arena_index", arena_index, 0)
+    shared = getattr(policy, "shares_maps", False)
+    task = {"first_arena": arena_index, "terminate_at_coverage": None if shared else 1.0}
+    with _test_env(config, steps, seed, stream, arenas, **task) as env:
+        episode = play(policy, env, env.max_steps, until_done=True)
+        return list(_until_shared(episode) if shared else episode)
+
+
+@contextmanager
+def _test_env(
+    config: ArenaConfig | None,
+    steps: int | None,
+    seed: int,
+    stream: str,
+    arenas: str | Generator,
+    **task: Any,
+) -> Iterator[ExplorationEnv]:
+    """Arenas to test a policy on, without gradients; random numbers inside follow from the seed."""
+    steps = default_steps(arenas) if steps is None else steps
+    require_integer("steps", steps, 1)
+    require_integer("seed", seed, 0)
+    env = ExplorationEnv(config, max_steps=steps, arenas=arenas, seed=seed, stream=stream, **task)
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(seed)
+        yield env
+
+
+def _until_shared(episode: Iterator[TensorDictBase]) -> Iterator[TensorDictBase]:
+    """The observations with the union as the map of every robot, until it is complete."""
+    target: Tensor | None = None
+    for observation in episode:
+        maps = _measured(observation, shared=True).contiguous()
+        if target is None:
+            target = target_cells(observation["obstacles"], observation["agents", "position"])
+        observation["agents"] = observation["agents"].copy().set("map", maps)
+        yield observation
+        if (known_mask(maps[:, 0]) >= target).all():
+            return
+
+
+def _measured(observation: TensorDictBase, shared: bool) -> Tensor:
+    """The robots' maps [B, N, H, W]; of a reference that shares them, their union for each."""
+    grid = observation["agents", "map"]
+    return union_of(grid).unsqueeze(-3).expand_as(grid) if shared else grid
+
+
+def record(
+    policy: Actor,
+    config: ArenaConfig | None,
+    num_arenas: int = 200,
+    steps: int | None = None,
+    seed: int = 0,
+    stream: str = TEST_STREAM,
+    arenas: str | Generator = "uniform",
+) -> Episodes:
+    """Run a policy once on every arena, deterministic given the seed.
+
+    Args:
+        policy: TensorDict in, action out.
+        config: arenas and robots; None: those that ``arenas`` brings.
+        num_arenas: B.
+        steps: T; None: the suite's, or 300.
+        seed: of the arenas and of sampled actions; the global random state is left as it was.
+        stream: family of arenas.
+        arenas: a suite's name or a generator, as for ``ExplorationEnv``.
+    """
+    require_integer("num_arenas", num_arenas, 1)
+    with _test_env(config, steps, seed, stream, arenas, num_envs=num_arenas) as env:
+        episode = play(policy, env, env.max_steps)
+        start = next(episode)
+        target = target_cells(start["obstacles"], start["agents", "position"])
+        shared = getattr(policy, "shares_maps", False)
+        maps = [snapshot(_measured(start, shared), target)]
+        events = {key: [start["agents", key]] for key in EVENTS}
+        actions = []
+        for observation in episode:
+            agents = observation["agents"]
+            maps.append(snapshot(_measured(observation, shared), target))
+            actions.append(agents["action"])
+            for key, values in events.items():
+                values.append(agents[key])
+    return Episodes(
+        maps=Snapshot(*(torch.stack(entry, 1) for entry in zip(*maps, strict=True))),
+        action=torch.stack(actions, 1),
+        **{key: torch.stack(values, 1) for key, values in events.items()},
+        num_targets=target.flatten(-2).sum(-1),
+        num_cells=env.config.num_cells,
+        cell_size=env.config.cell_size,
+        max_discovery=env.config.max_discovery,
+    )

@@ -1,0 +1,218 @@
+"""Cells of a leaderboard: one policy on one suite, measured once and kept as one JSON file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from marl_explore.arenas import Suite
+from marl_explore.envs.exploration import ExplorationEnv
+from marl_explore.evaluation import metrics
+from marl_explore.evaluation.episodes import TEST_STREAM, record
+from marl_explore.evaluation.leaderboard.fingerprint import source_digest
+from marl_explore.evaluation.metrics import Episodes
+from marl_explore.evaluation.registry import ARGMAX, find_policy
+from marl_explore.evaluation.stats import middle_half
+from marl_explore.planners import PLANNERS, counting_bound
+from marl_explore.policies.io import policy_digest
+from marl_explore.utils import records
+from marl_explore.utils.files import write_text
+
+FORMAT = 2
+"""Counts up when ``measured`` keeps something else."""
+HOW = ("format", "code")
+"""Settings that say how a cell was measured: one that differs in no other is measured anew."""
+BOUND = "bound"
+"""In place of a policy: ``planners.counting_bound``."""
+
+Result = dict[str, Any]
+"""The content of a cell's file; ``measure`` says what it holds."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is measured; everything that its numbers depend on is in ``settings``."""
+
+    policy: str
+    suite: Suite
+    num_arenas: int
+    steps: int
+    seed: int
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What two cells with the same numbers have in common."""
+        return {
+            "format": FORMAT,
+            "policy": self.policy,
+            "weights": policy_digest(self.policy.removesuffix(ARGMAX)) if self.trained else None,
+            "code": source_digest(planner=not self.trained),
+            "suite": self.suite.id,
+            "fingerprint": self.suite.digest,
+            "arena": asdict(self.suite.config),
+            "num_arenas": self.num_arenas,
+            "steps": self.steps,
+            "seed": self.seed,
+            "stream": TEST_STREAM,
+        }
+
+    @property
+    def trained(self) -> bool:
+        """Whether the policy was trained, and is no planner."""
+        return self.policy not in (*PLANNERS, BOUND)
+
+    @property
+    def file_name(self) -> str:
+        """A name of its own, whatever the policy's is."""
+        name = re.sub(r"[^\w.-]+", "_", self.policy)
+        if name != self.policy:
+            name += "-" + hashlib.sha256(self.policy.encode()).hexdigest()[:8]
+        return f"{name}--{self.suite.id}.json"
+
+
+def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> dict[Cell, Result]:
+    """The results of all cells: those that the folder holds are read, the others measured.
+
+    A cell that was measured by other code counts as one the folder does not hold.
+
+    Args:
+        folder: where every cell is kept as soon as it is measured.
+        cells: what to measure.
+        progress: whether to show a progress bar.
+
+    Raises:
+        ValueError: before anything is measured, when a policy cannot act on a suite, or a file of
+            the folder was made under other settings or is no cell.
+    """
+    cells = list(dict.fromkeys(cells))
+    for cell in cells:
+        if cell.policy != BOUND:
+            find_policy(cell.policy, cell.suite.config)
+    paths = {cell: folder / cell.file_name for cell in cells}
+    kept = {cell: read(path, cell) for cell, path in paths.items() if path.exists()}
+    results = {cell: result for cell, result in kept.items() if result is not None}
+    folder.mkdir(parents=True, exist_ok=True)
+    terminal = sys.stderr.isatty()
+    with tqdm(
+        total=len(cells),
+        initial=len(results),
+        unit="cell",
+        disable=not progress,
+        mininterval=0.2 if terminal else 15,  # a log file wants few lines
+    ) as bar:
+        for cell in cells:
+            if cell not in results:
+                bar.set_postfix_str(f"{cell.policy} on {cell.suite.id}", refresh=terminal)
+                results[cell] = measure(cell)
+                write_text(paths[cell], json.dumps(results[cell]) + "\n")
+                bar.update()
+    return results
+
+
+def read(path: Path, cell: Cell) -> Result | None:
+    """The result in a file; None when it was measured by other code.
+
+    Raises:
+        ValueError: when it is none, or that of another cell, naming the difference.
+    """
+    try:
+        result: Result = json.loads(path.read_text())
+        made = dict(result["settings"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is no cell of a leaderboard: delete it ({error!r})") from error
+    wanted = cell.settings
+    different = [
+        f"{name} was {made.get(name)!r} and now is {value!r}"
+        for name, value in wanted.items()
+        if name not in HOW and made.get(name) != value
+    ]
+    if different:
+        raise ValueError(
+            f"{path} was made under other settings: {'; '.join(different)}. Choose another folder, "
+            "or delete the file to measure it again"
+        )
+    return result if all(made.get(name) == wanted[name] for name in HOW) else None
+
+
+def measure(cell: Cell) -> Result:
+    """Run a cell's policy on its arenas.
+
+    Returns:
+        "settings", "run" (command, versions, seconds), "planner", "reference" and "sees" of the
+        policy, and ``measured``; of the bound only its "scores".
+    """
+    start = time.perf_counter()
+    provenance = records.provenance()
+    numbers = _bound(cell) if cell.policy == BOUND else _played(cell)
+    seconds = round(time.perf_counter() - start, 1)
+    return {
+        "settings": cell.settings,
+        "run": provenance | {"seconds": seconds},
+        "planner": cell.policy in PLANNERS,
+        **numbers,
+    }
+
+
+def _played(cell: Cell) -> dict[str, Any]:
+    """What a policy sees, and how it did."""
+    policy = find_policy(cell.policy, cell.suite.config)
+    episodes = record(
+        policy,
+        cell.suite.config,
+        num_arenas=cell.num_arenas,
+        steps=cell.steps,
+        seed=cell.seed,
+        arenas=cell.suite.id,
+    )
+    return {
+        "reference": bool(getattr(policy, "reference", False)),
+        "sees": str(getattr(policy, "sees", "-")),
+        **measured(episodes),
+    }
+
+
+def _bound(cell: Cell) -> dict[str, Any]:
+    """The fewest steps that could be, which nobody took: no episode, no other measure."""
+    config = cell.suite.config
+    env = ExplorationEnv(
+        config, cell.num_arenas, arenas=cell.suite.id, seed=cell.seed, stream=TEST_STREAM
+    )
+    steps = counting_bound(config, env.reset())
+    return {
+        "reference": True,
+        "sees": "no policy: cells to see / what all robots can see in a step",
+        "scores": {"steps_to_100": steps.double().tolist()},
+        "shares": {},
+    }
+
+
+def measured(episodes: Episodes) -> dict[str, Any]:
+    """What a cell keeps of its episodes.
+
+    Returns:
+        "scores" by measure and arena; "shares" by measure: counts of events by arena, part and
+        whole; over steps "coverage" of the largest map (mean, quartiles) and mean "cells_sent" so
+        far; "enlargements": how many there were of 0, 1, 2 ... cells; "max_discovery" (e_max).
+    """
+    coverage = metrics.coverage(episodes)["largest"].numpy()
+    sent = metrics.cells_sent(episodes).double().mean(0)
+    return {
+        "scores": {k: v.tolist() for k, v in metrics.per_episode(episodes).items()},
+        "shares": {
+            name: {"part": share.part.tolist(), "whole": share.whole.tolist()}
+            for name, share in metrics.shares(episodes).items()
+        },
+        "coverage": [line.tolist() for line in middle_half(coverage)],
+        "cells_sent": sent.tolist(),
+        "enlargements": metrics.enlargements(episodes).bincount().tolist(),
+        "max_discovery": episodes.max_discovery,
+    }

@@ -1,0 +1,120 @@
+"""The leaderboard as text, Markdown, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from marl_explore.evaluation.leaderboard.ranking import Row, title
+from marl_explore.utils import tables
+from marl_explore.utils.files import atomic_write, write_text
+
+
+def _plain(measure: str) -> Callable[[Row], str]:
+    return lambda row: tables.number(row.measures.get(measure, math.nan))
+
+
+def _interval(measure: str, sign: str = "") -> Callable[[Row], str]:
+    def cell(row: Row) -> str:
+        value, low, high = (row.measures[measure + end] for end in ("", "_low", "_high"))
+        return tables.estimate(value, low, high, sign)
+
+    return cell
+
+
+COLUMNS: dict[str, Callable[[Row], str]] = {
+    "policy": lambda row: row.name,
+    "sees": lambda row: row.sees,
+    "steps to 95 %": _plain("steps_to_95"),
+    "steps to 100 %": _interval("steps_to_100"),
+    "p90": _plain("steps_to_100_p90"),
+    "complete": _plain("complete"),
+    "coverage at 20": _plain("coverage_at_20"),
+    "at 50": _plain("coverage_at_50"),
+    "at 150": _plain("coverage_at_150"),
+    "communicate": _plain("communication_share_before_completion"),
+    "useful": _plain("useful_share"),
+    "overlap": _plain("overlap"),
+    "to best planner": _interval("difference", sign="+"),
+}
+"""Columns of the printed table; the CSV and JSON files hold every measure."""
+
+MEANINGS = {
+    "steps to 95 %, steps to 100 %": "mean steps until the largest map covers that share of the "
+    "target cells, never dropped when not reached (then one more than the steps of an episode); in "
+    "brackets the 95 % bootstrap interval over seeds and arenas",
+    "p90": "9 of 10 arenas take at most so many steps to 100 %",
+    "complete": "share of the arenas in which some map became complete",
+    "coverage at 20, 50, 150": "mean coverage of the largest map at that step",
+    "communicate": "communicate actions / all actions, before a map is complete",
+    "useful": "communicate actions that enlarged the sender's map / communicate actions, over all "
+    "steps of the episode",
+    "overlap": "own discoveries of all robots / cells of the union - 1",
+    "to best planner": "steps to 100 % minus those of the fastest planner that is no reference, on "
+    "the same arenas; less than 0 is faster",
+    "below the line": "references, which may see what no robot can; what they share costs nothing, "
+    "and the union counts as the map of each robot; bound: no team takes fewer steps",
+}
+"""What the columns say."""
+
+
+def blocks(rows: Sequence[Row]) -> list[list[list[str]]]:
+    """The shown cells: of those that compete, then of the references."""
+    groups = ([row for row in rows if row.reference is reference] for reference in (False, True))
+    return [
+        [[cell(row) for cell in COLUMNS.values()] for row in group] for group in groups if group
+    ]
+
+
+def format_text(boards: Sequence[Sequence[Row]]) -> str:
+    """All suites as text."""
+    header = list(COLUMNS)
+    return "\n\n".join(
+        f"{title(rows)}\n\n{tables.text(header, *blocks(rows))}\n" for rows in boards
+    )
+
+
+def format_markdown(boards: Sequence[Sequence[Row]]) -> str:
+    """All suites as Markdown."""
+    header = list(COLUMNS)
+    suites = (f"## {title(rows)}\n\n{tables.markdown(header, *blocks(rows))}\n" for rows in boards)
+    meanings = (f"- **{name}**: {meaning}\n" for name, meaning in MEANINGS.items())
+    return "\n".join((*suites, "".join(meanings)))
+
+
+def write_tables(folder: Path, boards: Sequence[Sequence[Row]], record: Mapping[str, Any]) -> None:
+    """Write table.txt, table.md, table.csv and table.json.
+
+    Args:
+        folder: where.
+        boards: the rows of each suite.
+        record: about the run, kept in table.json.
+    """
+    write_text(folder / "table.txt", format_text(boards))
+    write_text(folder / "table.md", format_markdown(boards))
+    records = [_record(row) for rows in boards for row in rows]
+    content = {"rows": records, "run": record}
+    write_text(folder / "table.json", json.dumps(content, indent=2, default=str) + "\n")
+    names = list(dict.fromkeys(name for entry in records for name in entry))
+    with atomic_write(folder / "table.csv") as unfinished, unfinished.open("w", newline="") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(records)
+
+
+def _record(row: Row) -> dict[str, Any]:
+    about = {
+        "suite": row.settings["suite"],
+        "policy": row.name,
+        "sees": row.sees,
+        "planner": row.planner,
+        "reference": row.reference,
+        "seeds": len(row.results),
+        "num_arenas": row.settings["num_arenas"],
+        "steps": row.settings["steps"],
+    }
+    return about | {name: None if math.isnan(x) else x for name, x in row.measures.items()}

@@ -1,0 +1,5 @@
+"""Replays: episodes as one HTML file that plays in any browser, without a network."""
+
+from marl_explore.evaluation.replay.page import write_replay
+
+__all__ = ["write_replay"]

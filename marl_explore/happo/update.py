@@ -1,0 +1,56 @@
+"""One sequential update of a team's actors, the step that makes HAPPO of clipped PPO."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+
+from marl_explore.happo.diagnostics import factor_statistics
+from marl_explore.happo.loss import HAPPOLoss
+
+REPORTED = ("loss_objective", "entropy", "kl_approx", "clip_fraction")
+"""Diagnostics of an actor's loss that an update reports."""
+
+Passes = Callable[[TensorDictBase, list[NestedKey]], Iterable[TensorDictBase]]
+Step = Callable[[str, TensorDictBase], object]
+
+
+def sequential_update(
+    loss: HAPPOLoss,
+    batch: TensorDictBase,
+    passes: Passes,
+    step: Step,
+    generator: torch.Generator | None = None,
+) -> dict[str, float]:
+    """Update every actor in turn, each weighted by the ratios of those before it (Zhong et al.).
+
+    The last actor's ratios are not multiplied in: nobody comes after it.
+
+    Args:
+        loss: of the team.
+        batch: [M] with the advantage; the factor is written into it.
+        passes: from the batch and the entries that an actor's loss reads to all minibatches of
+            all its epochs.
+        step: minimises the sum of an actor's losses, "loss_objective" and "loss_entropy"; it
+            gets the actor's name and these.
+        generator: of the order of actors.
+
+    Returns:
+        ``REPORTED`` of the actors' last minibatches, means over actors, and
+        ``diagnostics.factor_statistics``.
+    """
+    reports: dict[str, list[float]] = {key: [] for key in REPORTED}
+    order = loss.update_order(generator)
+    for previous, name in zip([None, *order], order, strict=False):
+        if previous is not None:
+            loss.update_factor(batch, previous)
+        for part in passes(batch, loss.actor_keys(name)):
+            output = loss.actor_loss(part, name)
+            step(name, output.select("loss_objective", "loss_entropy"))
+        for key, values in reports.items():
+            values.append(output[key].item())
+    factor = batch.get(loss.tensor_keys.factor, torch.ones(1))  # a single actor leaves none
+    means = {key: sum(values) / len(values) for key, values in reports.items()}
+    return means | factor_statistics(factor)

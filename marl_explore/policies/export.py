@@ -1,0 +1,161 @@
+"""Export of policies for use without torch: one .npz for numpy, or an ONNX graph per robot.
+
+Both hold only the actors' networks: FPR and NET are computed before the network, and sampling comes
+after it (``marl_explore.robot`` does both; see docs/robots.md).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATURES
+from marl_explore.policies.networks import PAPER_INPUTS
+from marl_explore.policies.policy import Policy
+from marl_explore.robot.policy import FORMAT
+from marl_explore.utils.files import atomic_write
+
+INPUTS = ("fov", "fpr", "net", "action_mask")
+OUTPUTS = ("action", "masked_logits")
+NOT_IN_THE_GRAPH = (
+    "fov, fpr and net are computed before the network, fpr with the normalisation in the spec. "
+    "action is the most likely allowed one; to sample, use masked_logits as the logits of a "
+    "categorical distribution."
+)
+"""What users of an ONNX file need to know."""
+
+
+class Deployed(nn.Module):
+    """One robot's actor with its masked choice: the graph that is exported.
+
+    Args:
+        actor: the network.
+    """
+
+    def __init__(self, actor: nn.Module) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(
+        self, fov: Tensor, fpr: Tensor, net: Tensor, action_mask: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The most likely allowed action int64 [B], and logits [B, 10], -inf where not allowed.
+
+        Args:
+            fov: float32 [B, 2k + 1, 2k + 1].
+            fpr: float32 [B, 8, 3].
+            net: float32 [B, N].
+            action_mask: bool [B, 10].
+        """
+        logits = self.actor(fov, fpr, net).masked_fill(~action_mask, -torch.inf)
+        return logits.argmax(-1), logits
+
+
+def spec_text(policy: Policy) -> str:
+    """A description of the networks as JSON: format, arena, network, FPR's normalisation.
+
+    Raises:
+        ValueError: for actors that read more than robots compute (FOV, FPR and NET).
+    """
+    read = policy.team.stacked.inputs
+    if read != PAPER_INPUTS:
+        raise ValueError(f"actors that read {read} cannot be exported: robots have {PAPER_INPUTS}")
+    twin = policy.config.network.exported_as
+    return json.dumps({"format": FORMAT, "twin": twin, **policy.config.to_json()})
+
+
+def export_npz(policy: Policy, path: str | Path) -> Path:
+    """Write all robots' actors as arrays that ``robot.ExportedPolicy`` reads.
+
+    Args:
+        policy: the team.
+        path: file to write, ending in .npz.
+
+    Raises:
+        ValueError: for another ending, a folder that does not exist, or actors that read more
+            than FOV, FPR and NET.
+    """
+    path = Path(path)
+    if path.suffix != ".npz" or not path.parent.is_dir():
+        raise ValueError(
+            f"path={str(path)!r} is not allowed: it must end in .npz, in an existing folder"
+        )
+    told = spec_text(policy)
+    weights = policy.actors.state_dict()
+    arrays = {name: tensor.float().numpy() for name, tensor in weights.items()}
+    with atomic_write(path) as unfinished, unfinished.open("wb") as file:
+        np.savez(file, spec=np.array(told), **arrays)
+    return path
+
+
+def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
+    """Write every robot's actor as ``robot_<i>.onnx``; needs the extra "export".
+
+    Inputs are fov, fpr, net and action_mask, outputs action and masked_logits, with any number of
+    rows; metadata hold the spec, the robot, and what is not in the graph.
+
+    Args:
+        policy: the team.
+        folder: where to write; created if it does not exist.
+
+    Raises:
+        ModuleNotFoundError: when onnx or onnxscript is not installed.
+        ValueError: for actors that read more than FOV, FPR and NET.
+    """
+    import onnx
+
+    told = spec_text(policy)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for robot in range(policy.config.arena.num_agents):
+        model = _graph(Deployed(policy.actor_of(robot)).float().eval(), policy.config.arena)
+        described = {
+            "spec": told,
+            "robot": str(robot),
+            "not in the graph": NOT_IN_THE_GRAPH,
+        }
+        onnx.helper.set_model_props(model, described)
+        path = folder / f"robot_{robot}.onnx"
+        with atomic_write(path) as unfinished:
+            onnx.save(model, unfinished)
+        paths.append(path)
+    return paths
+
+
+def _graph(deployed: Deployed, arena: ArenaConfig) -> Any:
+    """An onnx.ModelProto."""
+    example = example_inputs(arena, 2)
+    rows = torch.export.Dim("rows")
+    program = torch.onnx.export(
+        deployed,
+        tuple(example),
+        input_names=INPUTS,
+        output_names=OUTPUTS,
+        dynamic_shapes=[{0: rows} for _ in example],
+        dynamo=True,
+        verbose=False,
+    )
+    assert program is not None
+    return program.model_proto
+
+
+def example_inputs(arena: ArenaConfig, rows: int, seed: int = 0) -> Sequence[Tensor]:
+    """Random observations of one robot: fov, fpr, net and action_mask, ``rows`` of each."""
+    chance = torch.Generator().manual_seed(seed)
+    shape = {
+        "fov": (rows, arena.fov_size, arena.fov_size),
+        "fpr": (rows, NUM_DIRECTIONS, NUM_FEATURES),
+        "net": (rows, arena.num_agents),
+    }
+    fov, fpr, net = (torch.rand(size, generator=chance) for size in shape.values())
+    mask = torch.rand(rows, NUM_ACTIONS, generator=chance) > 0.4
+    mask[:, -2] = True  # staying is always allowed
+    return (fov > 0.7).float(), fpr, (net > 0.5).float(), mask

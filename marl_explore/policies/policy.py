@@ -1,0 +1,147 @@
+"""The policy of a team: its actors and the features that they read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import nn
+
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.core.frontier import Normalization
+from marl_explore.policies.actors import ACTION_MASK, TeamActor
+from marl_explore.policies.networks import Network, settings_from_json
+from marl_explore.policies.networks.ablation import Ability, Ablated
+from marl_explore.transforms.features import make_features
+
+FOV: NestedKey = ("agents", "observation", "fov")
+
+
+@dataclass(frozen=True)
+class PolicyConfig:
+    """Settings from which a policy's networks and features are built."""
+
+    arena: ArenaConfig
+    network: Network
+    fpr: Normalization | None = "relative"
+    ablate: tuple[Ability, ...] = ()
+    shared: bool = False
+    """Whether all robots share one actor."""
+
+    def make_actors(self) -> list[nn.Module]:
+        """A newly initialised network per robot, or one that all share."""
+        number = 1 if self.shared else self.arena.num_agents
+        actors = [self.network.make_actor(self.arena) for _ in range(number)]
+        return [Ablated(actor, self.ablate) for actor in actors] if self.ablate else actors
+
+    def to_json(self) -> dict[str, Any]:
+        """The settings as JSON values; the network as its name and options."""
+        return asdict(self) | self.network.to_json()
+
+    @classmethod
+    def from_json(cls, fields: Mapping[str, Any]) -> PolicyConfig:
+        """The inverse of ``to_json``.
+
+        Raises:
+            KeyError, TypeError, ValueError: when the fields are not such settings.
+        """
+        return cls(**settings_from_json(fields))
+
+
+class Policy(TensorDictModuleBase):
+    """A team of actors that computes its own features: it acts on any ``ExplorationEnv``.
+
+    Reads "map", "position", "action_mask" and ("observation", "fov") of the group "agents" and
+    writes ("agents", "action") int64 [*B, N]. Actions are sampled;
+    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` selects the argmax instead.
+
+    Args:
+        config: settings that the networks were built from.
+        actors: a network per robot, or one that all share.
+    """
+
+    out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
+
+    def __init__(self, config: PolicyConfig, actors: Iterable[nn.Module]) -> None:
+        super().__init__()
+        self.config = config
+        self.team = TeamActor(actors)
+        self._features = make_features(config.arena, config.network.features, config.fpr)
+        read = [key for feature in self._features for key in feature.in_keys]
+        self.in_keys: list[NestedKey] = [*dict.fromkeys((*read, ACTION_MASK, FOV))]
+
+    @property
+    def actors(self) -> nn.ModuleList:
+        """The networks, one per robot or one for all."""
+        return self.team.stacked.actors
+
+    @property
+    def sees(self) -> str:
+        """The information that a robot's decisions use, as text."""
+        return self.config.network.sees
+
+    @property
+    def any_team(self) -> bool:
+        """Whether it works for any number of robots."""
+        return self.config.shared and self.config.network.any_team
+
+    def actor_of(self, robot: int) -> nn.Module:
+        """The network of one robot."""
+        return self.actors[0 if self.config.shared else robot]
+
+    @property
+    def _layout(self) -> tuple[Any, ...]:
+        """What must be equal for actors to load each other's weights."""
+        config, arena = self.config, self.config.arena
+        robots = None if config.network.any_team else arena.num_agents
+        return config.network.layout, config.ablate, arena.fov_size, robots
+
+    def init_from(self, other: Policy) -> None:
+        """Copy the weights of another policy's actors; those of a shared actor to every robot.
+
+        Raises:
+            ValueError: when its networks differ, or it has fewer actors.
+        """
+        enough = other.config.shared or len(other.actors) >= len(self.actors)
+        if self._layout != other._layout or not enough:
+            raise ValueError(
+                f"{len(self.actors)} actors {self._layout} cannot start from {len(other.actors)} "
+                f"{other._layout}"
+            )
+        for robot, actor in enumerate(self.actors):
+            actor.load_state_dict(other.actor_of(robot).state_dict())
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ("agents", "action")."""
+        acted = self.team(self.observe(tensordict))
+        return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
+
+    def observe(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The team's input: the entries that it reads, and its features."""
+        observation = tensordict.select(*self.in_keys)
+        fov = observation.get(FOV)
+        self.check(robots=fov.shape[-3], fov_size=fov.shape[-1])
+        return self._features(observation)
+
+    def check(self, robots: int, fov_size: int) -> None:
+        """Raise an error for another team or sensor than the policy was trained for.
+
+        Raises:
+            ValueError: naming both.
+        """
+        arena = self.config.arena
+        if robots != arena.num_agents and not self.any_team:
+            raise ValueError(
+                f"the policy was trained for num_agents={arena.num_agents}, and the environment "
+                f"has {robots} robots"
+            )
+        if fov_size != arena.fov_size:
+            raise ValueError(
+                f"the policy was trained for fov_radius={arena.fov_radius}, and the environment's "
+                f"field of view is {fov_size} x {fov_size} cells"
+            )

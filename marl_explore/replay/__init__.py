@@ -1,5 +1,0 @@
-"""Replays: episodes as one HTML file that plays in any browser, without a network."""
-
-from marl_explore.replay.page import write_replay
-
-__all__ = ["write_replay"]

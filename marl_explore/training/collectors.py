@@ -1,0 +1,231 @@
+"""TorchRL collectors from settings: in this process, in worker processes, or on Ray."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import partial
+from importlib.util import find_spec
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, Protocol
+
+import torch
+from safetensors.torch import load, save
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.collectors import BaseCollector, Collector
+from torchrl.envs import EnvBase
+from torchrl.weight_update import SharedMemWeightSyncScheme
+
+from marl_explore.config.run import RunConfig
+from marl_explore.core.hashing import stream_seed
+from marl_explore.policies.actors import TeamActor
+from marl_explore.training.workers import AsyncWorkers, SyncWorkers, WorkerError, report
+from marl_explore.utils.interrupts import detach
+
+
+class CreateEnv(Protocol):
+    """Makes a part of the arenas: ``num_envs`` of them, starting at index ``first_arena``."""
+
+    def __call__(self, *, num_envs: int, first_arena: int) -> EnvBase:
+        """A batched environment around an ``ExplorationEnv``, with "episode_reward"."""
+
+
+class ResumableCollector(Collector):
+    """A collector that resumes exactly: its state holds what TorchRL's leaves out.
+
+    ``state_dict`` has the arenas in progress, the returns so far, and the state of the random
+    generator that actions are drawn from; ``load_state_dict`` restores all of them.
+
+    Args:
+        args, options: of ``Collector``.
+        reports: pipe through which a worker reports the error that ends it.
+    """
+
+    _returns: Tensor | None = None
+
+    def __init__(self, *args: Any, reports: Connection | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._reports = reports
+
+    def rollout(self) -> TensorDictBase:
+        """The next batch [B, T]; the actors of a team run as one network."""
+        team = isinstance(self.policy, TeamActor)
+        try:
+            with self.policy.stacked.together() if team else nullcontext():
+                batch = super().rollout()
+        except Exception as error:
+            report(error, self._reports)
+            raise
+        last = batch["next"][:, -1]
+        self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
+        return batch
+
+    def state_dict(self) -> dict[str, bytes]:
+        """Everything that the rest of the run depends on except the policy, in one entry.
+
+        It is one entry because each tensor sent between processes takes a file descriptor.
+        """
+        state: dict[str, Any] = self.env.base_env.state_dict()
+        returns = self._returns
+        if returns is None:
+            returns = self.env.full_reward_spec.zero()["reward"]
+        tensors = {name: value.clone() for name, value in state.items() if name != "seed"}
+        tensors |= {"returns": returns, "random": torch.get_rng_state()}
+        return {"packed": save(tensors)}
+
+    def load_state_dict(self, state_dict: dict[str, bytes], **_: Any) -> None:
+        """Resume from a ``state_dict`` of a collector of the same arenas."""
+        tensors = load(state_dict["packed"])
+        random, returns = tensors.pop("random"), tensors.pop("returns")
+        env = self.env.base_env
+        env.load_state_dict({**tensors, "seed": env.state_dict()["seed"]})
+        observed = self.env.reset()  # of the loaded arenas
+        # then a reset of no arena, which keeps the returns that it is given
+        observed.set("_reset", torch.zeros_like(returns, dtype=torch.bool))
+        self.reset(tensordict=observed.set("episode_reward", returns), set_state=False)
+        self._returns = returns
+        torch.set_rng_state(random)
+
+    def load_weights(self, packed: bytes) -> None:
+        """Act with these parameters from now on."""
+        self.policy.load_state_dict(load(packed))
+
+
+def make_collector(
+    create_env: CreateEnv,
+    policy: TensorDictModuleBase,
+    num_envs: int,
+    steps: int,
+    run: RunConfig | None = None,
+    seed: int = 0,
+    first_arena: int = 0,
+) -> BaseCollector:
+    """A collector of endless rollouts.
+
+    This process uses the policy's parameters in place; workers hold copies, which
+    ``restarts.RestartingCollector`` keeps up to date.
+
+    Args:
+        create_env: makes a part of the arenas; workers must be able to import it.
+        policy: acts on a whole batch of arenas.
+        num_envs: total number of arenas; the workers share their numbering.
+        steps: of every arena per batch.
+        run: which collector; default: this process.
+        seed: of the actions that workers sample; this process samples from torch's generator.
+        first_arena: index of the first arena.
+
+    Raises:
+        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
+        WorkerError, WorkerDeathError: when a worker fails while starting.
+    """
+    run = run or RunConfig()
+    require_collector(run, num_envs)
+    options: dict[str, Any] = {
+        "trust_policy": True,  # planners have no parameters that show their device
+        "auto_register_policy_transforms": False,
+    }
+    if run.collector == "process":
+        env = create_env(num_envs=num_envs, first_arena=first_arena)
+        options |= {"device": env.device, "track_traj_ids": False}
+        return ResumableCollector(env, policy, frames_per_batch=num_envs * steps, **options)
+    part = num_envs // run.workers
+    workers = [
+        partial(_worker_env, create_env, part, first, stream_seed(f"worker of arena {first}", seed))
+        for first in range(first_arena, first_arena + num_envs, part)
+    ]
+    options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
+    if run.collector == "ray":
+        return _ray_collector(workers, policy, run, options)
+    return _worker_processes(workers, policy, run, options)
+
+
+def _worker_processes(
+    workers: Sequence[Callable[[], EnvBase]],
+    policy: TensorDictModuleBase,
+    run: RunConfig,
+    options: dict[str, Any],
+) -> BaseCollector:
+    """Worker processes on this machine."""
+    reader, writer = Pipe(duplex=False)
+    options["collector_class"] = partial(ResumableCollector, reports=writer)
+    collector: AsyncWorkers | SyncWorkers
+    if run.collector == "multiasync":
+        # does not wait until workers have the weights: a dead one never confirms
+        scheme = SharedMemWeightSyncScheme(sync=False)
+        try:
+            collector = AsyncWorkers(
+                workers, policy, weight_sync_schemes={"policy": scheme}, **options
+            )
+        except Exception:
+            scheme.shutdown()  # otherwise it blocks forever when the program exits
+            raise
+    else:
+        options |= {"policy_factory": partial(_itself, policy), "weight_sync_schemes": {}}
+        collector = SyncWorkers(workers, cat_results=0, use_buffers=True, **options)
+    collector.reports = reader
+    return collector
+
+
+def _ray_collector(
+    workers: Sequence[Callable[[], EnvBase]],
+    policy: TensorDictModuleBase,
+    run: RunConfig,
+    options: dict[str, Any],
+) -> BaseCollector:
+    """Actors of a Ray cluster, one CPU each; the cluster outlives the collector."""
+    import ray
+    from torchrl.collectors.distributed import RayCollector
+
+    if not ray.is_initialized():
+        cluster: dict[str, Any] = {"num_cpus": run.workers, "include_dashboard": False}
+        if run.ray_address is not None:
+            cluster = {"address": run.ray_address}
+        ray.init(log_to_driver=False, **cluster)
+    cpus = ray.cluster_resources().get("CPU", 0)
+    if cpus < run.workers:
+        raise WorkerError(f"Ray has {cpus:g} CPUs, too few for workers={run.workers}")
+    own = ("trust_policy", "auto_register_policy_transforms")
+    # it does not see the weights that restarts.RestartingCollector sends
+    warnings.filterwarnings("ignore", "RayCollector iteration started before weight sync")
+    return RayCollector(
+        workers,
+        policy,
+        sync=True,
+        postproc=lambda stacked: stacked.flatten(0, 1),  # [workers, arenas per worker, T]
+        weight_sync_schemes={},
+        collector_kwargs={name: options.pop(name) for name in own},
+        remote_configs={"num_cpus": 1, "num_gpus": 0},
+        collector_class=ResumableCollector,
+        **options | {"total_frames": sys.maxsize},
+    )
+
+
+def _itself(policy: TensorDictModuleBase) -> TensorDictModuleBase:
+    return policy
+
+
+def require_collector(run: RunConfig, num_envs: int) -> None:
+    """Raise an error for a collector that cannot be made.
+
+    Raises:
+        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
+    """
+    if num_envs % run.workers:
+        raise ValueError(
+            f"workers={run.workers} is not allowed: it must divide num_envs={num_envs}"
+        )
+    if run.collector == "ray" and find_spec("ray") is None:
+        raise ValueError("collector='ray' needs the package ray: pip install ray")
+
+
+def _worker_env(create_env: CreateEnv, num_envs: int, first_arena: int, seed: int) -> EnvBase:
+    """Called in a worker: its arenas; seeds its own random actions."""
+    detach()
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    return create_env(num_envs=num_envs, first_arena=first_arena)

@@ -1,0 +1,171 @@
+"""Settings of a training run: the task, the networks and the hyper-parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
+
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require, require_coverage, require_integer
+from marl_explore.policies.networks import MLP, CriticInput, Network, settings_from_json
+from marl_explore.policies.networks.ablation import Ability, require_abilities
+
+Algorithm = Literal["happo", "mappo", "ippo"]
+Precision = Literal["float32", "bfloat16"]
+_CHOICES = {
+    "algorithm": get_args(Algorithm),
+    "critic_input": get_args(CriticInput),
+    "precision": get_args(Precision),
+    "fpr": ("relative", "proximity", "absolute"),
+}
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run; the defaults are the paper's Table III and, where it is open, HAPPO's."""
+
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+    """The arena, its robots and their sensors; a suite fixes size and density."""
+    arenas: str = "uniform"
+    """Kind of arenas: the name of a suite, or uniform or mixed, which take any size."""
+    reward: str = "case2"
+    """Reward function: case1, case2, case2-literal, team or progress."""
+    fpr: Literal["relative", "proximity", "absolute"] = "relative"
+    """Normalisation of the frontier table."""
+    algorithm: Algorithm = "happo"
+    """happo: an actor per robot, updated in turn; mappo: a shared actor; ippo: all independent."""
+    network: Network = field(default_factory=MLP)
+    """Kind of network for the actors and the critic, with its options."""
+    init_from: str | None = None
+    """Policy whose actors initialise the run: a file, a run folder or a bundled policy's name."""
+    ablate: tuple[Ability, ...] = ()
+    """What actors do without: parts of the observation (read as 0), or communication."""
+    critic_input: CriticInput = "observation"
+    """Input of the critic: the joint observation (as in the paper) or the true state."""
+    episodes: int = 5000
+    """Length of training, n_e (episodes of episode_steps steps)."""
+    episode_steps: int = 200
+    """Steps after which an episode is truncated, n_s."""
+    terminate_at_coverage: float | None = None
+    """Coverage of the largest map that ends an episode; None: never."""
+    num_envs: int = 8
+    """Arenas stepped side by side; with rollout_steps = episode_steps, episodes per update, n_b."""
+    rollout_steps: int = 200
+    """Steps of every arena per update."""
+    clip_epsilon: float = 0.2
+    """PPO's clipping range epsilon: ratios are clipped to [1 - epsilon, 1 + epsilon]."""
+    ppo_epochs: int = 5
+    """Epochs: passes over the batch per update of an actor or the critic."""
+    num_minibatches: int = 1
+    """Minibatches per pass over the batch."""
+    actor_lr: float = 5e-4
+    """Adam's learning rate for the actors."""
+    critic_lr: float = 5e-4
+    """Adam's learning rate for the critic."""
+    lr_decay: bool = False
+    """Whether learning rates decay linearly to 5 % of their initial value."""
+    adam_eps: float = 1e-5
+    """Adam's epsilon."""
+    max_grad_norm: float = 10.0
+    """Largest gradient norm per network; larger gradients are scaled down."""
+    gamma: float = 0.99
+    """Discount factor per step."""
+    lmbda: float = 0.95
+    """GAE's lambda."""
+    entropy_coeff: float = 0.01
+    """Weight of the entropy bonus."""
+    value_norm: bool = True
+    """Whether the critic predicts in units of running return statistics."""
+    precision: Precision = "float32"
+    """Precision of an update's matrix products: bfloat16 is faster on processors that have it."""
+    compile: bool = False
+    """Whether torch.compile compiles the networks of an update; it takes minutes at the start."""
+    seed: int = 0
+    """Seed of arenas, initial weights, actions and minibatches."""
+
+    def __post_init__(self) -> None:
+        """Raise an error for settings that are not allowed."""
+        self._require_ranges()
+        self._require_networks()
+        self._require_batch()
+
+    def _require_ranges(self) -> None:
+        """Check each setting on its own."""
+        for name in ("episodes", "episode_steps", "num_envs", "rollout_steps", "ppo_epochs"):
+            require_integer(name, getattr(self, name), 1)
+        require_integer("seed", self.seed, 0)
+        for name, allowed in _CHOICES.items():
+            require(getattr(self, name) in allowed, name, getattr(self, name), f"use {allowed}")
+        for name in ("clip_epsilon", "actor_lr", "critic_lr", "adam_eps", "max_grad_norm"):
+            require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
+        require(
+            self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
+        )
+        require_coverage("terminate_at_coverage", self.terminate_at_coverage)
+        for name in ("gamma", "lmbda"):
+            require(
+                0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"
+            )
+
+    def _require_networks(self) -> None:
+        """Check that the chosen actors and critic can read their inputs."""
+        require_abilities(self.network, self.ablate)
+        require(
+            self.critic_input in self.network.critic_inputs,
+            "critic_input",
+            self.critic_input,
+            f"with {self.network.name} actors the critic must read the state",
+        )
+        require(
+            self.algorithm != "ippo" or self.critic_input == "observation",
+            "critic_input",
+            self.critic_input,
+            "ippo's critics must read their own robot's observation",
+        )
+
+    def _require_batch(self) -> None:
+        """Check that a batch can be normalised and split, and that the run has at least one."""
+        require(
+            isinstance(self.num_minibatches, int)
+            and 1 <= self.num_minibatches <= self.batch_frames,
+            "num_minibatches",
+            self.num_minibatches,
+            f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",
+        )
+        require(
+            self.batch_frames >= 2,
+            "rollout_steps",
+            self.rollout_steps,
+            "num_envs x rollout_steps must be at least 2, to normalise advantages",
+        )
+        require(
+            self.updates >= 1,
+            "episodes",
+            self.episodes,
+            f"one update takes {self.batch_frames} steps of an arena, "
+            f"{self.batch_frames / self.episode_steps:g} episodes",
+        )
+
+    @property
+    def batch_frames(self) -> int:
+        """Steps of single arenas per update."""
+        return self.num_envs * self.rollout_steps
+
+    @property
+    def updates(self) -> int:
+        """Number of updates of the whole run."""
+        return self.episodes * self.episode_steps // self.batch_frames
+
+    def to_json(self) -> dict[str, Any]:
+        """The settings as JSON values; the network as its name and options."""
+        return asdict(self) | self.network.to_json()
+
+    @classmethod
+    def from_json(cls, fields: Mapping[str, Any]) -> TrainConfig:
+        """The inverse of ``to_json``.
+
+        Raises:
+            KeyError, TypeError, ValueError: when the fields are not such settings.
+        """
+        return cls(**settings_from_json(fields))

@@ -1,0 +1,92 @@
+"""Logging of metrics: to CSV files and, by name, to one of TorchRL's other loggers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from torchrl.record.loggers import Logger, MLFlowLogger
+from torchrl.record.loggers.utils import get_logger
+
+from marl_explore.config.run import LoggerName
+from marl_explore.utils.files import write_text
+
+PACKAGES: dict[str, tuple[str, ...]] = {
+    "tensorboard": ("tensorboard",),
+    "wandb": ("wandb",),
+    "mlflow": ("mlflow", "omegaconf"),
+}
+"""Packages that a logger needs in addition to this package's dependencies."""
+PROJECT = "marl_explore"
+
+
+def require_logger(name: LoggerName) -> None:
+    """Raise an error for a logger whose package is not installed.
+
+    Raises:
+        ValueError: naming the package to install.
+    """
+    missing = [package for package in PACKAGES.get(name, ()) if find_spec(package) is None]
+    if missing:
+        packages = " ".join(missing)
+        raise ValueError(f"logger={name!r} needs {packages}: pip install {packages}")
+
+
+class Loggers:
+    """Writes every metric to ``scalars/NAME.csv`` of a run folder, and to another logger.
+
+    Args:
+        name: "tensorboard", "wandb" or "mlflow"; "csv" for no other logger.
+        folder: of the run.
+        settings: of the run, nested; logged as hyper-parameters.
+        frames: steps of single arenas already done. Later rows of the CSV files are dropped: they
+            are of updates that were lost and will be repeated.
+    """
+
+    def __init__(
+        self, name: LoggerName, folder: Path, settings: Mapping[str, Any], frames: int
+    ) -> None:
+        for file in (folder / "scalars").glob("*.csv"):
+            _rewind(file, frames)
+        self._loggers = [_open("csv", folder)]
+        if name != "csv":
+            self._loggers.append(_open(name, folder))
+        for logger in self._loggers:
+            logger.log_hparams(_flat(settings))
+
+    def log(self, metrics: Mapping[str, float], frames: int) -> None:
+        """Write the metrics of an update."""
+        for logger in self._loggers:
+            for name, value in metrics.items():
+                logger.log_scalar(name, value, frames)
+        # TorchRL's CSV logger keeps everything in memory, which adds up in long runs
+        self._loggers[0].experiment.scalars.clear()
+
+
+def _open(name: str, folder: Path) -> Logger:
+    if name == "mlflow":  # get_logger uses MLflow's file store, which MLflow no longer supports
+        default = f"sqlite:///{folder.absolute()}/mlflow.db"
+        return MLFlowLogger(folder.name, os.environ.get("MLFLOW_TRACKING_URI", default))
+    place = folder if name == "wandb" else folder.parent  # the others add the run's name
+    return get_logger(name, str(place), folder.name, wandb_kwargs={"project": PROJECT})
+
+
+def _rewind(file: Path, frames: int) -> None:
+    rows = file.read_text().splitlines(keepends=True)
+    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= frames]
+    if len(kept) < len(rows):
+        write_text(file, "".join(kept))
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            scalar = isinstance(value, (bool, int, float, str))
+            flat[prefix + key] = value if scalar else str(value)
+    return flat

@@ -1,0 +1,44 @@
+"""Ready-made training runs by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from marl_explore.policies.networks import CNN, MLP, DeepSet
+from marl_explore.training.config import TrainConfig
+
+_FAST = TrainConfig(
+    reward="team",
+    fpr="proximity",
+    network=MLP(hidden=(128, 128)),
+    critic_input="state",
+    episodes=2500,
+    terminate_at_coverage=1.0,
+    num_envs=64,
+    rollout_steps=50,
+    num_minibatches=2,
+    gamma=0.95,
+    lr_decay=True,
+)
+_BEST = replace(
+    _FAST,
+    reward="progress",
+    algorithm="mappo",
+    network=DeepSet(communicate_every=3, communicate_after=4),
+    episodes=12500,
+    num_envs=128,
+    rollout_steps=25,
+    ppo_epochs=4,
+    gamma=0.98,
+)
+
+PRESETS: dict[str, TrainConfig] = {
+    "paper-mlp-case1": TrainConfig(network=MLP(), reward="case1"),
+    "paper-mlp-case2": TrainConfig(network=MLP(), reward="case2"),
+    "paper-cnn-case1": TrainConfig(network=CNN(), reward="case1"),
+    "paper-cnn-case2": TrainConfig(network=CNN(), reward="case2"),
+    "fast": _FAST,
+    "best": _BEST,
+}
+"""The paper's four policies, a run that takes minutes, and ``best``, a policy for any team size
+that beats the planners."""

@@ -1,0 +1,106 @@
+"""Policies that come with the package: bundling a run, and the scores that a replay must give."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marl_explore.evaluation import metrics
+from marl_explore.evaluation.episodes import record
+from marl_explore.policies.io import BUNDLED, load_policy, policy_info, save_policy
+from marl_explore.policies.policy import Policy
+from marl_explore.training.runs import CONFIG_FILE, RECORD_FILE, read_settings
+
+REPLAY_ARENAS = 20
+"""Test arenas on which a bundled policy must reproduce its recorded score."""
+SCORE_ARENAS = 200
+STEPS = 300
+CURVES = ("episode_return", "final_coverage", "communication_share", "entropy")
+_POINTS = 50
+
+
+def replay_score(
+    policy: Policy, num_arenas: int = REPLAY_ARENAS, arenas: str = "uniform"
+) -> dict[str, list[int]]:
+    """The exact result of a policy on the first test arenas of a kind.
+
+    Networks compute in float64, so that the summation order of a processor has no effect.
+
+    Args:
+        policy: as ``load_policy`` returns it; it is changed to float64.
+        num_arenas: B.
+        arenas: kind of arenas, such as a suite's name.
+
+    Returns:
+        Per arena, steps until the largest map is complete, its known target cells at the end, and
+        the cells sent by all robots.
+    """
+    episodes = record(policy.double(), policy.config.arena, num_arenas, STEPS, arenas=arenas)
+    known = episodes.maps.known_targets.amax(-1)
+    return {
+        "steps_to_100": metrics.steps_to(known, episodes.num_targets, 1.0).tolist(),
+        "known_targets": known[:, -1].tolist(),
+        "cells_sent": metrics.cells_sent(episodes)[:, -1].tolist(),
+    }
+
+
+def run_info(run: str | Path) -> dict[str, Any]:
+    """The information about a finished run: configuration, record and curves.
+
+    Raises:
+        ValueError: when the folder is not a run, or the run is not finished.
+    """
+    run = Path(run)
+    read_settings(run)  # raises an error for anything else
+    how = json.loads((run / RECORD_FILE).read_text())
+    if not how.get("finished"):
+        raise ValueError(f"the run in {run} is not finished: resume it first")
+    return {
+        "config": json.loads((run / CONFIG_FILE).read_text()),
+        "run": how,
+        "curves": {curve: _curve(run / "scalars" / f"{curve}.csv") for curve in CURVES},
+    }
+
+
+def score(policy: Policy, arenas: str = "uniform") -> dict[str, float]:
+    """Every measure of a policy on 200 test arenas of a kind."""
+    return metrics.summarize(
+        record(policy, policy.config.arena, SCORE_ARENAS, STEPS, arenas=arenas)
+    )
+
+
+def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
+    """Bundle the policy of a finished run with the package, with weights in float16.
+
+    Its file also holds the ``run_info``, and the ``score`` and ``replay_score`` of the weights as
+    shipped, on arenas of the kind that the run was trained on.
+
+    Args:
+        run: folder of a finished run.
+        name: name for ``load_policy``.
+        folder: where it is written; created if it does not exist.
+
+    Raises:
+        ValueError: when the folder is not a run, or the run is not finished.
+    """
+    info = run_info(run)
+    policy = load_policy(run)
+    policy.half().float()  # the weights that are read from the file
+    arenas = info["config"]["arenas"]
+    info |= {"score": score(policy, arenas), "replay": replay_score(policy, arenas=arenas)}
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    return save_policy(policy.half(), Path(folder) / f"{name}.safetensors", info)
+
+
+def recorded_replay(name: str) -> dict[str, Any]:
+    """The ``replay_score`` that a bundled policy was shipped with."""
+    return policy_info(name)["replay"]
+
+
+def _curve(path: Path) -> list[list[float]]:
+    """(frames, value) of a training curve, averaged over sections of it."""
+    rows = np.loadtxt(path, delimiter=",", ndmin=2)
+    return [part.mean(0).tolist() for part in np.array_split(rows, min(_POINTS, len(rows)))]

@@ -1,0 +1,177 @@
+"""The trainer: collects a batch, updates the learners on it, and can be stopped and resumed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Mapping
+from functools import partial
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase, RewardSum
+
+from marl_explore.config.run import RunConfig
+from marl_explore.envs.factory import make_env
+from marl_explore.happo.diagnostics import FactorWatch
+from marl_explore.policies.io import load_policy
+from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.training.collectors import make_collector, require_collector
+from marl_explore.training.config import TrainConfig
+from marl_explore.training.learners import make_learners
+from marl_explore.training.nan_guard import require_finite_batch
+from marl_explore.training.restarts import RestartingCollector
+from marl_explore.training.rollout_metrics import rollout_metrics
+
+
+def make_training_env(
+    config: TrainConfig, num_envs: int | None = None, first_arena: int = 0
+) -> EnvBase:
+    """The environment of a training run, or a part of its arenas, with episode returns."""
+    env = make_env(
+        config.arena,
+        num_envs=num_envs or config.num_envs,
+        reward=config.reward,
+        max_steps=config.episode_steps,
+        terminate_at_coverage=config.terminate_at_coverage,
+        arenas=config.arenas,
+        seed=config.seed,
+        first_arena=first_arena,
+        fpr=config.fpr,
+        features=config.network.features,
+    )
+    env.append_transform(RewardSum())
+    return env
+
+
+class Trainer:
+    """One training run: a policy, its learners and rollouts, and the loop over updates.
+
+    In one process the run is a pure function of its configuration, bit for bit, even if it is
+    stopped and resumed with ``state_dict`` and ``load_state_dict``. It seeds the global random
+    state.
+
+    Args:
+        config: the run.
+        run: execution settings; only the collector matters here.
+        fresh: whether the actors start from those of ``config.init_from``; a resumed run gets all
+            weights from its checkpoint instead.
+    """
+
+    def __init__(
+        self, config: TrainConfig, run: RunConfig | None = None, fresh: bool = True
+    ) -> None:
+        run = run or RunConfig()
+        require_collector(run, config.num_envs)
+        make_training_env(config, num_envs=1).reset()  # fails here, not in a worker
+        torch.manual_seed(config.seed)
+        self.config = config
+        built = PolicyConfig(
+            config.arena,
+            config.network,
+            config.fpr,
+            config.ablate,
+            shared=config.algorithm == "mappo",
+        )
+        self.policy = Policy(built, built.make_actors())
+        if fresh and config.init_from is not None:
+            self.policy.init_from(load_policy(config.init_from))
+        self.learners = make_learners(config, self.policy)
+        if config.compile:
+            critics = [learner.critic for learner in self.learners.values()]
+            for network in (*self.policy.actors, *(critic.module for critic in critics)):
+                network.compile()
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.factor_watch = FactorWatch()
+        self.updates, self.seconds = 0, 0.0
+        self.rollouts = RestartingCollector(
+            partial(
+                make_collector,
+                partial(make_training_env, config),
+                self.policy.team,
+                num_envs=config.num_envs,
+                steps=config.rollout_steps,
+                run=run,
+                seed=config.seed,
+            ),
+            self.policy.team,
+            run,
+            config.num_envs,
+        )
+
+    @property
+    def frames(self) -> int:
+        """Steps of single arenas so far."""
+        return self.updates * self.config.batch_frames
+
+    def run(self) -> Generator[dict[str, float]]:
+        """Do the remaining updates, yielding the metrics of each (docs/metrics.md).
+
+        Raises:
+            NonFiniteError: when an observation, loss, gradient or parameter is not finite; the
+                update is not counted.
+            WorkerError: when workers die repeatedly or one fails; the run stays as it was after
+                the last update.
+        """
+        start = time.perf_counter() - self.seconds
+        try:
+            while self.updates < self.config.updates:
+                batch = self.collect()
+                metrics = rollout_metrics(batch) | self.update(batch)
+                self.updates += 1
+                self.seconds = time.perf_counter() - start
+                yield {
+                    "frames": self.frames,
+                    "seconds": self.seconds,
+                    "rate": self.frames / self.seconds,
+                    **metrics,
+                }
+        finally:
+            self.rollouts.close()
+
+    def collect(self) -> TensorDictBase:
+        """The next rollout [B, T]."""
+        batch = self.rollouts.next()
+        require_finite_batch(batch, self.updates + 1)
+        return batch
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the rest of the run depends on, between two updates."""
+        return {
+            "updates": self.updates,
+            "seconds": self.seconds,
+            "learners": {name: one.state_dict() for name, one in self.learners.items()},
+            "generator": self.generator.get_state(),
+            "rollouts": self.rollouts.state(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Resume from a ``state_dict`` of the same configuration; call this before ``run``.
+
+        Raises:
+            ValueError: when the state has another configuration or number of workers.
+        """
+        try:
+            for name, learner in self.learners.items():
+                learner.load_state_dict(state["learners"][name])
+            self.generator.set_state(state["generator"])
+            self.updates, self.seconds = state["updates"], state["seconds"]
+            self.rollouts.load(state["rollouts"], done=self.updates)
+        except KeyError as error:
+            raise ValueError(f"the state does not fit this run: it has no {error}") from error
+        except RuntimeError as error:
+            first = str(error).split("\n\t")[:2][-1]  # torch lists all that differ
+            raise ValueError(f"the state does not fit this run: {first}") from error
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """One update of every learner on a rollout [B, T]; metrics are means over learners."""
+        dtype = getattr(torch, self.config.precision)
+        number = self.updates + 1
+        with torch.autocast("cpu", dtype, enabled=dtype != torch.float32):
+            each = [
+                learner.update(batch.copy(), self.generator, number)
+                for learner in self.learners.values()
+            ]
+        metrics = {key: sum(one[key] for one in each) / len(each) for key in each[0]}
+        self.factor_watch(metrics["factor_ess"], number)
+        return metrics

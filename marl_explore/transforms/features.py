@@ -1,0 +1,76 @@
+"""Every part of the observation by name, and chains of transforms that compute some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from tensordict import NestedKey
+from torchrl.envs import Compose, Transform
+
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.core.frontier import Normalization
+from marl_explore.transforms.frontier import Backend, FrontierReachability
+from marl_explore.transforms.neighbors import CommunicationNeighbors
+from marl_explore.transforms.surroundings import Clock, LocalMap, StepGain
+from marl_explore.transforms.team import FrontierTerritory, Teammates
+
+LINKED: NestedKey = ("agents", "linked")
+"""Where environments publish who is linked."""
+
+
+class FeatureOptions(NamedTuple):
+    """What transforms of features are made from."""
+
+    arena: ArenaConfig
+    fpr: Normalization | None = "relative"
+    backend: Backend = "auto"
+
+
+class Feature(NamedTuple):
+    """A part of the observation, ("agents", "observation", its name)."""
+
+    dims: int
+    """Dimensions of one robot's entry."""
+    make: Callable[[FeatureOptions], Transform] | None
+    """Its transform; None: the environment observes it itself."""
+
+
+FEATURES: dict[str, Feature] = {
+    "fov": Feature(2, None),
+    "fpr": Feature(2, lambda o: FrontierReachability(normalize=o.fpr, backend=o.backend)),
+    "net": Feature(1, lambda _: CommunicationNeighbors(linked_key=LINKED)),
+    "gain": Feature(1, lambda o: StepGain(radius=o.arena.fov_radius)),
+    "territory": Feature(
+        2, lambda o: FrontierTerritory(radius=o.arena.fov_radius, linked_key=LINKED)
+    ),
+    "teammates": Feature(2, lambda _: Teammates(linked_key=LINKED)),
+    "clock": Feature(1, lambda _: Clock()),
+    "local": Feature(3, lambda _: LocalMap(linked_key=LINKED)),
+}
+"""A new feature is a transform and a row here."""
+
+
+def make_features(
+    arena: ArenaConfig,
+    names: Sequence[str] = ("fpr", "net"),
+    fpr: Normalization | None = "relative",
+    backend: Backend = "auto",
+) -> Compose:
+    """A chain of transforms that computes these parts of the observation.
+
+    Args:
+        arena: sensors and ranges.
+        names: of ``FEATURES``; those that the environment observes itself need no transform.
+        fpr: normalisation of the frontier table.
+        backend: what computes the frontier table.
+
+    Raises:
+        ValueError: naming a feature that is unknown, and those that there are.
+    """
+    for name in names:
+        if name not in FEATURES:
+            raise ValueError(f"features={name!r} is not allowed: use some of {[*FEATURES]}")
+    options = FeatureOptions(arena, fpr, backend)
+    made = (feature.make for name, feature in FEATURES.items() if name in names)
+    return Compose(*(make(options) for make in made if make is not None))
