@@ -1,7 +1,7 @@
 """Multi-robot exploration with reinforcement learning, on TorchRL.
 
-Every documented name is imported from here, when it is first used: parts without torch stay light,
-and the folders below are free to change.
+Every documented name can be imported from here. It is loaded on first use, so that parts without
+torch stay light, and modules may move inside the package.
 """
 
 from __future__ import annotations
@@ -172,11 +172,11 @@ _EXPORTS = {
     "transforms.features": ("FEATURES", "Feature"),
     "utils": ("records", "tables"),
 }
-"""Where the public names live; the block above tells type checkers the same."""
+"""Modules of the public names; the block above tells type checkers the same."""
 _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 
 _OPTIONAL = ("adapters.benchmarl", "lab", "ros2.recordings")
-"""Homes that need the packages of an extra: a star import leaves their names out."""
+"""Modules that need the packages of an extra; a star import leaves their names out."""
 
 __all__ = sorted(name for name, home in _HOMES.items() if home not in _OPTIONAL)
 

@@ -2,7 +2,7 @@
 
 python recipes/benchmarl_exploration.py --algorithms mappo happo
 
-Needs BenchMARL beside this package; docs/happo.md ("In BenchMARL") says how to install it.
+Needs BenchMARL in addition to this package; docs/happo.md ("In BenchMARL") says how to install it.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ Algorithm = Literal["mappo", "ippo", "qmix", "happo"]
 
 @dataclass(frozen=True)
 class Arguments:
-    """What is trained, and for how long."""
+    """What to train, and for how long."""
 
     algorithms: tuple[Algorithm, ...] = get_args(Algorithm)
-    """Algorithms, one after the other."""
+    """Algorithms to train, one after the other."""
     iterations: int = 100
-    """Batches of 3200 steps of single arenas."""
+    """Number of batches of 3200 steps of single arenas."""
     seed: int = 0
-    """Of arenas, networks and actions."""
+    """Seed of arenas, networks and actions."""
     out: Path | None = None
-    """New folder for BenchMARL's logs; default: runs/ and the time."""
+    """New folder for BenchMARL's logs; default: runs/ followed by the time."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the arguments."""
         require_integer("iterations", self.iterations, 1)
 
 
@@ -56,11 +56,11 @@ SETTINGS = {
     "evaluation": False,
     "create_json": False,
 }
-"""What is not BenchMARL's default."""
+"""Settings that differ from BenchMARL's defaults."""
 
 
 def returns(name: Algorithm, arguments: Arguments, folder: Path) -> list[float]:
-    """Train one algorithm; the mean return of the episodes that ended in each batch."""
+    """Train one algorithm; returns the mean return of the episodes that ended in each batch."""
     from marl_explore import ExplorationTask, HappoConfig  # isort: skip
     from benchmarl.algorithms import algorithm_config_registry
     from benchmarl.experiment import Experiment, ExperimentConfig
@@ -87,7 +87,7 @@ def returns(name: Algorithm, arguments: Arguments, folder: Path) -> list[float]:
 def run(arguments: Arguments) -> None:
     """Train every algorithm and print the return of the first and the last tenth of the batches."""
     require_package("benchmarl", 'docs/happo.md ("In BenchMARL") says how to install it')
-    warnings.filterwarnings("ignore")  # BenchMARL's, of newer versions of what it builds on
+    warnings.filterwarnings("ignore")  # BenchMARL's, about newer versions of its dependencies
     folder = records.new_folder(arguments.out or Path("runs") / time.strftime("%Y%m%d-%H%M%S"))
     tenth = max(1, arguments.iterations // 10)
     results, rows = {}, []

@@ -1,4 +1,4 @@
-"""Make runs policies that come with the package: the same as ``marl-explore bundle``.
+"""Add the policies of runs to the package: the same as ``marl-explore bundle``.
 
 marl_explore/cli/bundle.py is what runs.
 """

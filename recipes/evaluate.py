@@ -1,4 +1,4 @@
-"""Policies side by side on test arenas: the same as ``marl-explore evaluate``.
+"""Compare policies on test arenas: the same as ``marl-explore evaluate``.
 
 marl_explore/cli/evaluate.py is what runs.
 """

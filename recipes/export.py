@@ -1,4 +1,4 @@
-"""A policy for robots: the same as ``marl-explore export``.
+"""Export a policy for robots: the same as ``marl-explore export``.
 
 marl_explore/cli/export.py is what runs.
 """

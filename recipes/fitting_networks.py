@@ -1,6 +1,6 @@
-"""Actors and a critic that fit an environment's specs: what happo_mappo.py trains.
+"""Actors and a critic that fit an environment's specs, for happo_mappo.py.
 
-The environment has a group per agent with an "observation" and an "action" each.
+The environment has one group per agent, each with an "observation" and an "action".
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
 
 
 def make_actor(env: EnvBase, group: str, hidden: tuple[int, ...]) -> ProbabilisticActor:
-    """A policy of one group, categorical or a squashed Gaussian as its action space asks."""
+    """A policy of one group: categorical or squashed Gaussian, depending on its action space."""
     observation = (group, "observation")
     action = env.full_action_spec[group, "action"]
     kind: dict[str, Any]
@@ -46,7 +46,7 @@ def make_actor(env: EnvBase, group: str, hidden: tuple[int, ...]) -> Probabilist
 
 
 def make_critic(env: EnvBase, groups: list[str], hidden: tuple[int, ...]) -> TensorDictSequential:
-    """A value of the team, "state_value" [*B, 1], from the observations of all groups."""
+    """A critic of the team, "state_value" [*B, 1], from the observations of all groups."""
     keys = [(group, "observation") for group in groups]
     return TensorDictSequential(
         TensorDictModule(

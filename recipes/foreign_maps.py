@@ -1,11 +1,11 @@
-"""FPR and NET of maps that are not this package's: a PettingZoo environment's, and a data set's.
+"""FPR and NET on other maps: those of a PettingZoo environment, and a data set of map files.
 
 python recipes/foreign_maps.py pursuit
 
 python recipes/foreign_maps.py files office.yaml arena.map cave.txt
 
-The two transforms need maps and positions, under any names. Pursuit, an environment of PettingZoo,
-shows pursuers a square around them and has neither: a transform of this recipe makes them. Map
+The two transforms need maps and positions, under any names. Pursuit, a PettingZoo environment,
+shows pursuers a square around them and has neither; a transform in this recipe makes them. Map
 files become a replay buffer of partly known maps. Pursuit needs the extra "pursuit"
 (``pip install ".[pursuit]"``).
 """
@@ -55,7 +55,7 @@ class Located(BaseParallelWrapper[str, Any, int]):
 
     def _cells(self) -> dict[str, dict[str, Any]]:
         layer = self.unwrapped.env.pursuer_layer
-        places = [layer.get_position(i)[::-1] for i in range(layer.n_agents())]  # it counts (x, y)
+        places = [layer.get_position(i)[::-1] for i in range(layer.n_agents())]  # it gives (x, y)
         return {
             name: {"cell": np.array(place, np.int64)}
             for name, place in zip(self.possible_agents, places, strict=True)
@@ -82,7 +82,7 @@ class MapsFromViews(Transform):
         return self._see(tensordict[self.group, "map"], next_tensordict)
 
     def _see(self, grid: Tensor, now: TensorDictBase) -> TensorDictBase:
-        """Write the views into the maps, on a border that takes what lies outside."""
+        """Write the views into the maps, with a border for cells outside."""
         walls = now[self.group, "observation"][..., 0]
         position = now[self.group, "info", "cell"].long()
         k = walls.shape[-1] // 2
@@ -98,7 +98,7 @@ class MapsFromViews(Transform):
         return now
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add both entries: their bounds spare the transforms that follow a look at all cells."""
+        """Add both entries; with their bounds the following transforms need not check all cells."""
         robots = observation_spec[self.group].shape
         last = torch.tensor([self.height, self.width]).expand(*robots, 2) - 1
         shape = (*robots, self.height, self.width)
@@ -114,7 +114,7 @@ def pursuit_env(seed: int = 0) -> TransformedEnv:
     from pettingzoo.sisl import pursuit_v5
 
     env: ParallelEnv[str, Any, int] = Located(pursuit_v5.parallel_env(max_cycles=100))
-    with warnings.catch_warnings():  # it names the version that it was tested with
+    with warnings.catch_warnings():  # about the version that it was tested with
         warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested")
         wrapped = PettingZooWrapper(env, group_map={"pursuers": env.possible_agents}, seed=seed)
     grid, cell = ("pursuers", "map"), ("pursuers", "position")
@@ -129,7 +129,7 @@ def pursuit_env(seed: int = 0) -> TransformedEnv:
 
 
 def partly_known(obstacles: Tensor, robots: int, generator: torch.Generator) -> TensorDictBase:
-    """Robots on random free cells of a map bool [H, W], each knows the cells around it."""
+    """Robots on random free cells of a map bool [H, W]; each knows the cells around it."""
     height, width = obstacles.shape
     free = (~obstacles).flatten().float()
     cell = torch.multinomial(free, robots, generator=generator)
@@ -159,7 +159,7 @@ def map_buffer(maps: list[Tensor], robots: int = 4, seed: int = 0) -> TensorDict
 
 
 def table(grid: Tensor, position: Tensor, fpr: Tensor, net: Tensor) -> str:
-    """One team: what each robot knows, how many frontiers lie where, and who is in range."""
+    """A table of one team: known cells, frontiers by direction, and robots in range."""
     rows = []
     for robot, (row, column) in enumerate(position.tolist()):
         number = fpr[robot, :, 0]
@@ -190,9 +190,9 @@ def main(
     """Print the frontiers around each robot, by the direction of the first move to them.
 
     Args:
-        source: another environment, or a data set of map files.
-        paths: map files (.png, .pgm, .yaml, .map, .txt); none: three mazes of the package.
-        steps: steps of random pursuers.
+        source: pursuit, or a data set of map files.
+        paths: map files (.png, .pgm, .yaml, .map, .txt); none: three mazes from the package.
+        steps: number of steps of random pursuers.
         seed: of pursuit, and of the robots' cells on map files.
     """
     torch.manual_seed(seed)

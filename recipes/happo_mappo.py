@@ -2,9 +2,9 @@
 
 The environment has a group per agent (``MarlGroupMapType.ONE_GROUP_PER_AGENT``), each with its own
 "observation", "action" (discrete or continuous) and "reward"; the team gets the mean reward. Both
-algorithms start from the same weights, and share batches' sizes, advantages and the critic's
-update. What differs is the actors' update: one after the other with the factor between them
-(``HAPPOLoss``), or all on every minibatch without it (``MAPPOLoss``).
+algorithms start from the same weights, and have the same batch sizes, advantages and critic update.
+Only the actors' update differs: one after the other with the factor between them (``HAPPOLoss``),
+or all on every minibatch without it (``MAPPOLoss``).
 """
 
 from __future__ import annotations
@@ -46,44 +46,44 @@ ALGORITHMS = ("happo", "mappo")
 
 @dataclass(frozen=True)
 class Settings:
-    """What both algorithms are trained with."""
+    """Settings of both algorithms."""
 
     updates: int = 50
-    """Updates of every network, on a batch each."""
+    """Number of updates of every network, each on one batch."""
     frames: int = 2000
     """Steps of single environments in a batch."""
     num_minibatches: int = 1
-    """Parts of a batch, a gradient step each."""
+    """Minibatches per batch, each with one gradient step."""
     epochs: int = 5
-    """Passes over a batch."""
+    """Epochs: passes over a batch."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers of every network."""
     lr: float = 5e-4
-    """Adam's step size."""
+    """Adam's learning rate."""
     gamma: float = 0.99
-    """Discount per step."""
+    """Discount factor per step."""
     lmbda: float = 0.95
     """Lambda of GAE."""
     clip_epsilon: float = 0.2
-    """Half width of the ratio's clipping range."""
+    """Clipping range epsilon of the ratio."""
     entropy_coeff: float = 0.01
     """Weight of the entropy bonus."""
     max_grad_norm: float = 10.0
-    """Largest norm of a network's gradient."""
+    """Largest gradient norm per network."""
     seeds: str = "0-2"
     """Seeds of both algorithms: 0-2 or 0,3."""
     out: Path | None = None
-    """New folder for the runs; default: runs/ and the time."""
+    """New folder for the runs; default: runs/ followed by the time."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the settings."""
         for name in ("updates", "frames", "num_minibatches", "epochs"):
             require_integer(name, getattr(self, name), 1)
         parse_seeds(self.seeds)
 
 
 class Task(Protocol):
-    """What a recipe's command line gives."""
+    """The task of a recipe, from its command line."""
 
     @property
     def max_steps(self) -> int:
@@ -91,14 +91,14 @@ class Task(Protocol):
 
     @property
     def train(self) -> Settings:
-        """How it is learned."""
+        """Settings of the training."""
 
     def make_env(self, seed: int) -> EnvBase:
-        """The environment, a group per agent."""
+        """The environment, with one group per agent."""
 
 
 def main(kind: type[Task], about: str | None, package: str, extra: str) -> None:
-    """A recipe's program: read its command line, train, draw and print."""
+    """The main program of a recipe: parse the command line, train, draw and print."""
     run_program(
         lambda: tyro.cli(
             kind, description=about, config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff)
@@ -111,7 +111,7 @@ def run(task: Task, package: str, extra: str) -> None:
     """Compare both algorithms on a task that needs a package.
 
     Raises:
-        ValueError: saying how to install the package when it is missing.
+        ValueError: when the package is missing, saying how to install it.
     """
     require_package(package, f'pip install ".[{extra}]"')
     compare(task.make_env, task.max_steps, task.train)
@@ -121,9 +121,9 @@ def compare(make_env: Callable[[int], EnvBase], max_steps: int, settings: Settin
     """Train both algorithms with every seed and draw their learning curves.
 
     Args:
-        make_env: the environment of a seed.
+        make_env: makes the environment for a seed.
         max_steps: steps after which an episode is truncated.
-        settings: of both.
+        settings: of both algorithms.
 
     Returns:
         A folder with ``run.json``, ``curves.png`` and ``happo/seed-0/scalars/*.csv``, ...
@@ -162,7 +162,7 @@ class Learner:
         env: the environment; actors and critic are made to fit its specs.
         max_steps: steps after which an episode is truncated.
         settings: of the run.
-        sequential: whether actors are updated as HAPPO does, or else as MAPPO does.
+        sequential: whether actors are updated as in HAPPO; False: as in MAPPO.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class Learner:
         }
         self.loss = HAPPOLoss(actors, critic, value_norm=PopArtValueNorm(beta=0.99), **clipping)
         self.loss.make_value_estimator(gamma=settings.gamma, lmbda=settings.lmbda)
-        self.mappo_losses = {  # of advantages that are normalised already
+        self.mappo_losses = {  # advantages are already normalised
             group: MAPPOLoss(actor, normalize_advantage=False, functional=False, **clipping)
             for group, actor in actors.items()
         }

@@ -1,4 +1,4 @@
-"""HAPPO against TorchRL's MAPPO on PettingZoo agents that differ: a speaker and a listener.
+"""HAPPO compared with TorchRL's MAPPO on two different PettingZoo agents: speaker and listener.
 
 python recipes/happo_pettingzoo.py
 
@@ -19,22 +19,22 @@ from marl_explore import require_integer
 
 @dataclass(frozen=True)
 class Arguments:
-    """How the task is learned."""
+    """Settings of the task and of training."""
 
     max_steps: int = 25
     """Steps after which an episode is truncated."""
     train: Settings = field(default_factory=lambda: Settings(updates=60, frames=1000, epochs=10))
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the arguments."""
         require_integer("max_steps", self.max_steps, 1)
 
     def make_env(self, seed: int) -> EnvBase:
-        """A group per agent, with observations and actions of its own size."""
+        """One group per agent, with its own sizes of observations and actions."""
         from mpe2 import simple_speaker_listener_v4
 
         env = simple_speaker_listener_v4.parallel_env(max_cycles=self.max_steps)
-        with warnings.catch_warnings():  # it names the version that it was tested with
+        with warnings.catch_warnings():  # about the version that it was tested with
             warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested")
             return PettingZooWrapper(env, group_map=MarlGroupMapType.ONE_GROUP_PER_AGENT, seed=seed)
 

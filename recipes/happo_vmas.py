@@ -1,8 +1,8 @@
-"""HAPPO against TorchRL's MAPPO on a VMAS scenario, with continuous actions.
+"""HAPPO compared with TorchRL's MAPPO on a VMAS scenario, with continuous actions.
 
 python recipes/happo_vmas.py --scenario navigation
 
-Needs the extra "lab": pip install ".[lab]". VMAS is under the GPLv3.
+Needs the extra "lab": pip install ".[lab]". VMAS is licensed under the GPLv3.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from marl_explore import require_integer
 
 @dataclass(frozen=True)
 class Arguments:
-    """A scenario and how it is learned."""
+    """A scenario, and the settings of training."""
 
     scenario: str = "navigation"
     """Name of a VMAS scenario."""
     num_envs: int = 60
-    """Environments side by side."""
+    """Number of environments side by side."""
     max_steps: int = 100
     """Steps after which an episode is truncated."""
     train: Settings = field(
@@ -32,12 +32,12 @@ class Arguments:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the arguments."""
         require_integer("num_envs", self.num_envs, 1)
         require_integer("max_steps", self.max_steps, 1)
 
     def make_env(self, seed: int) -> EnvBase:
-        """A group per agent. VMAS itself is told no last step: that would be a termination."""
+        """One group per agent. VMAS gets no step limit of its own, which would be a termination."""
         return VmasEnv(
             self.scenario,
             num_envs=self.num_envs,

@@ -1,4 +1,4 @@
-"""Robots with wheels and lidars in simulation: the same as ``marl-explore lab``.
+"""Simulate robots with wheels and lidars: the same as ``marl-explore lab``.
 
 marl_explore/cli/lab.py is what runs.
 """

@@ -1,4 +1,4 @@
-"""Policies on suites of test arenas: the same as ``marl-explore leaderboard``.
+"""Compare policies on suites of test arenas: the same as ``marl-explore leaderboard``.
 
 marl_explore/cli/leaderboard.py is what runs.
 """

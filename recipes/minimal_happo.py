@@ -1,4 +1,4 @@
-"""HAPPO on the exploration task, the whole loop in one place.
+"""HAPPO on the exploration task, with the whole loop in one file.
 
 python recipes/minimal_happo.py
 
@@ -47,7 +47,7 @@ def main(updates: int = 60) -> float:
     """Train a team of four; returns the mean length of the last finished episodes (steps).
 
     Args:
-        updates: updates of every network's parameters on a batch of 32 x 50 steps.
+        updates: number of updates of every network, each on a batch of 32 x 50 steps.
     """
     torch.manual_seed(0)
     arena = ArenaConfig()
@@ -56,7 +56,7 @@ def main(updates: int = 60) -> float:
     env = make_env(arena, ENVS, reward="team", terminate_at_coverage=1.0, fpr="proximity")
     env.append_transform(RewardSum())
 
-    # One actor per robot, and one critic that reads what all of them see.
+    # One actor per robot, and one critic that reads all observations.
     names = [f"robot_{i}" for i in range(arena.num_agents)]
     network = MLP(hidden=(64, 64))
     networks = [network.make_actor(arena) for _ in names]
@@ -88,7 +88,7 @@ def main(updates: int = 60) -> float:
         if ended.any() and update % 10 == 0:
             length = rollout["next", "step_count"][ended].float().mean().item()
             total = rollout["next", "episode_reward"][ended].mean().item()
-            print(f"update {update:3d}: return {total:6.2f}, {length:5.1f} steps to a whole map")
+            print(f"update {update:3d}: return {total:6.2f}, {length:5.1f} steps to a complete map")
     collector.shutdown()
     return length
 

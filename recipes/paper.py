@@ -1,4 +1,4 @@
-"""Four policies against the paper's claims: the same as ``marl-explore paper``.
+"""Compare four policies with the paper's claims: the same as ``marl-explore paper``.
 
 marl_explore/cli/paper.py is what runs.
 """

@@ -1,9 +1,9 @@
-"""MAPPO of TorchRL's own parts on the PettingZoo environment, through TorchRL's wrapper.
+"""MAPPO from TorchRL's own parts on the PettingZoo environment, with TorchRL's wrapper.
 
 python recipes/pettingzoo_torchrl.py
 
-Copy this file and change it: nothing below the wrapped environment knows of marl_explore. It
-steps one arena at a time: ``marl_explore.make_env`` is the way to train on many.
+Copy this file and change it: only the wrapped environment uses marl_explore. It steps one arena at
+a time; use ``marl_explore.make_env`` to train on many.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ OBSERVATION = (GROUP, "observation", "observation")
 
 
 def wrapped_env(arena: ArenaConfig, seed: int = 0) -> PettingZooWrapper:
-    """The environment in TorchRL: all robots in one group, masks beside their observations."""
+    """The environment in TorchRL: all robots in one group, with action masks."""
     env = parallel_env(arena, "team", STEPS, seed=seed, fpr="proximity")
-    with warnings.catch_warnings():  # it names the version that it was tested with
+    with warnings.catch_warnings():  # about the version that it was tested with
         warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested")
         return PettingZooWrapper(env, group_map={GROUP: env.possible_agents})
 
 
 def make_loss(env: PettingZooWrapper) -> ClipPPOLoss:
-    """One actor for all robots, and a critic that sees what all of them see."""
+    """One actor for all robots, and a critic that reads all observations."""
     *_, robots, features = env.observation_spec[OBSERVATION].shape
     actions = env.full_action_spec[GROUP, "action"].space.n
 
@@ -73,10 +73,10 @@ def make_loss(env: PettingZooWrapper) -> ClipPPOLoss:
 
 
 def main(updates: int = 40, seed: int = 0) -> list[float]:
-    """Train three robots on 6 x 6 cells; returns the mean return of every update's episodes.
+    """Train three robots on 6 x 6 cells; returns the mean episode return of every update.
 
     Args:
-        updates: updates on 12 episodes of 25 steps each.
+        updates: number of updates, each on 12 episodes of 25 steps.
         seed: of arenas, networks and actions.
     """
     torch.manual_seed(seed)

@@ -1,4 +1,4 @@
-"""Episodes as one page for any browser: the same as ``marl-explore replay``.
+"""Write episodes as one page for any browser: the same as ``marl-explore replay``.
 
 marl_explore/cli/replay.py is what runs.
 """

@@ -1,10 +1,10 @@
-"""Stable-Baselines3's PPO on the PettingZoo environment, made a vector of robots by SuperSuit.
+"""Stable-Baselines3's PPO on the PettingZoo environment, vectorised over robots by SuperSuit.
 
 python recipes/sb3_ppo.py
 
-Every robot of every arena is one environment to PPO, and all share one policy. It sees the action
-mask as a part of its observation: Stable-Baselines3 itself does not mask actions. It needs the
-extra "sb3" (``pip install ".[sb3]"``).
+For PPO every robot of every arena is an environment, and all share one policy. The action mask is
+part of the observation, since Stable-Baselines3 does not mask actions. Needs the extra "sb3"
+(``pip install ".[sb3]"``).
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ def vectorized_env(seed: int = 0) -> VecMonitor:
     env = parallel_env(arena, "team", STEPS, fpr="proximity")
     robots = pettingzoo_env_to_vec_env_v1(env)
     vector = concat_vec_envs_v1(robots, ARENAS, base_class="stable_baselines3")
-    vector.venv.reset(seed=seed)  # the copies of the environment: seed, seed + 1, ...
-    with warnings.catch_warnings():  # SuperSuit's vector cannot be asked for it
+    vector.venv.reset(seed=seed)  # the copies of the environment get seed, seed + 1, ...
+    with warnings.catch_warnings():  # SuperSuit's vector environment lacks it
         warnings.filterwarnings("ignore", "The `render_mode` attribute is not defined")
         return VecMonitor(vector)
 
 
 def mean_return(model: PPO, episodes: int = 10, seed: int = 1_000_000) -> float:
-    """Mean return of sampled actions over some episodes of each robot in unseen arenas."""
+    """Mean return with sampled actions over some episodes of each robot, in unseen arenas."""
     env = vectorized_env(seed)
     observation: Any = env.reset()
     returns: list[float] = []
@@ -51,10 +51,10 @@ def main(steps: int = 60_000, seed: int = 0) -> tuple[float, float]:
     """Train a shared policy; returns the mean return before and after.
 
     Args:
-        steps: steps of robots.
+        steps: number of steps, counted for every robot.
         seed: of arenas, network and actions.
     """
-    set_random_seed(seed)  # PPO's own argument would seed the environment, which SuperSuit cannot
+    set_random_seed(seed)  # PPO's own argument would also seed the environment, which fails
     model = PPO(
         "MultiInputPolicy",
         vectorized_env(seed),

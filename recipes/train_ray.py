@@ -1,4 +1,4 @@
-"""Train a team with workers of a Ray cluster; docs/scaling.md says how to start one.
+"""Train a team with workers on a Ray cluster; docs/scaling.md says how to start one.
 
 python recipes/train_ray.py fast --workers 2
 
@@ -13,7 +13,7 @@ from marl_explore import run_command
 
 
 def words(given: list[str]) -> list[str]:
-    """Of ``marl-explore train``: collected by Ray, with two workers where no number is given."""
+    """Arguments of ``marl-explore train`` with Ray, and two workers if no number is given."""
     if given[:1] in ([], ["resume"], ["--help"], ["-h"]):
         return given
     return [given[0], "--collector", "ray", "--workers", "2", *given[1:]]

@@ -1,11 +1,11 @@
-"""Compare settings of the planners on validation arenas; the best ones are those of PLANNERS.
+"""Compare settings of the planners on validation arenas; PLANNERS has the best ones.
 
 python recipes/tune_planners.py utility-cost
 
 python recipes/tune_planners.py rendezvous --rules "clock 8, 14 + 3 n" "timer 5"
 
-Every setting of a planner is compared under every rule of communication. Copy this file and change
-the settings: nothing here touches the test arenas.
+Every setting of a planner is compared under every communication rule. Copy this file and change
+the settings: nothing here uses the test arenas.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ REFERENCES = ("central", "clairvoyant")
 
 @dataclass(frozen=True)
 class Arguments:
-    """Which planner, on how many arenas."""
+    """Which planner to tune, on how many arenas."""
 
     planner: Annotated[str, tyro.conf.Positional]
-    """Any planner but random, which has no settings."""
+    """Any planner except random, which has no settings."""
     rules: tuple[str, ...] = ()
-    """Rules of communication, such as "timer 5"; default: all."""
+    """Communication rules, such as "timer 5"; default: all."""
     num_arenas: int = 100
-    """Validation arenas of the paper's size."""
+    """Number of validation arenas, of the paper's size."""
     steps: int = 120
-    """Steps of every episode."""
+    """Length of every episode in steps."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the arguments."""
         require_integer("num_arenas", self.num_arenas, 1)
         require_integer("steps", self.steps, 1)
 
 
 def rules() -> dict[str, CommunicationRule]:
-    """The rules of communication that are compared, by a name for each."""
+    """The communication rules to compare, by name."""
     from marl_explore import planners as p
 
     clocks = (((), 12, 3), ((), 9, 4), ((8,), 14, 3), ((8,), 13, 3), ((7, 11), 15, 2))
@@ -71,7 +71,7 @@ def rules() -> dict[str, CommunicationRule]:
 
 
 def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dict[str, Planner]]]:
-    """From a rule to the settings of every planner that are compared, by a name for each."""
+    """For every planner, a function from a rule to the settings to compare, by name."""
     from marl_explore import planners as p
 
     def auctions(rule: CommunicationRule, by_number: bool) -> dict[str, Planner]:
@@ -109,7 +109,7 @@ def families(config: ArenaConfig) -> dict[str, Callable[[CommunicationRule], dic
 
 
 def candidates(arguments: Arguments, config: ArenaConfig) -> dict[str, Planner]:
-    """The settings of a planner that are compared, by a name for each."""
+    """The settings of a planner to compare, by name."""
     known, settings = rules(), families(config)
     if arguments.planner not in settings:
         raise ValueError(f"planner={arguments.planner!r} is not one of {list(settings)}")
@@ -125,12 +125,12 @@ def candidates(arguments: Arguments, config: ArenaConfig) -> dict[str, Planner]:
 
 
 def parse() -> Arguments:
-    """Read the command line."""
+    """Parse the command line."""
     return tyro.cli(Arguments, prog="tune_planners.py", description=__doc__)
 
 
 def run(arguments: Arguments) -> None:
-    """Evaluate every setting and print a table."""
+    """Evaluate every setting, and print a table."""
     from marl_explore import evaluate, tables
 
     config = ArenaConfig()

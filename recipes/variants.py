@@ -1,4 +1,4 @@
-"""Trainings against a baseline, over seeds: the same as ``marl-explore variants``.
+"""Compare training runs with a baseline, over seeds: the same as ``marl-explore variants``.
 
 marl_explore/cli/variants.py is what runs.
 """

@@ -45,10 +45,10 @@ def parallel_env(
     """One arena of the exploration task as a PettingZoo environment; see ``ParallelExploration``.
 
     Args:
-        render_mode: what ``render`` gives: "rgb_array", "ansi", or None.
+        render_mode: what ``render`` returns: "rgb_array", "ansi", or None.
         config, reward, max_steps, terminate_at_coverage, arenas, seed, stream, first_arena, fpr:
             as for ``make_env``.
-        shared_reward: whether each robot gets the team's reward, or else its own.
+        shared_reward: whether each robot gets the team's reward; False: its own.
 
     Raises:
         ValueError: naming argument, value and what is allowed.
@@ -73,12 +73,12 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
 
     It is the first arena of ``make_env`` with the same arguments: the same seed and actions give
     the same episode. A robot observes a dictionary of "observation", float32 [(2k+1)^2 + 24 + N]
-    (FOV, FPR and NET in a row), and "action_mask", int8 [10], which the info holds too. All robots
-    get the team's reward, the mean of their own, unless ``shared_reward`` is False.
+    (FOV, FPR and NET concatenated), and "action_mask", int8 [10], which is also in the info. All
+    robots get the team's reward, the mean of their own, unless ``shared_reward`` is False.
 
-    ``reset()`` goes on to the next episode's arena, ``reset(seed)`` starts again at the first one
-    of that seed, ``reset(options={"obstacles": ..., "positions": ...})`` takes the arena bool
-    [H, W] and starts [N, 2] that are given.
+    ``reset()`` continues with the next episode's arena, ``reset(seed)`` restarts at the first one
+    of that seed, and ``reset(options={"obstacles": ..., "positions": ...})`` uses the given arena,
+    bool [H, W], and starts [N, 2].
     """
 
     metadata = {  # noqa: RUF012 - as PettingZoo declares it
@@ -121,7 +121,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         return spaces.Dict(observation=numbers, action_mask=spaces.MultiBinary(NUM_ACTIONS))
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """Space of what one robot observes."""
+        """Observation space of one robot."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Discrete:
@@ -138,7 +138,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
             options: "obstacles" and "positions" of an arena to start in; others are ignored.
 
         Raises:
-            ValueError: for one without the other, or starts that are out of bounds, occupied or
+            ValueError: when only one of them is given, or starts are out of bounds, occupied or
                 shared.
         """
         if seed is not None:
@@ -163,16 +163,16 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         """All robots act at once.
 
         Args:
-            actions: of every robot; one that its mask forbids does what docs/environment.md
-                says.
+            actions: of every robot; docs/environment.md defines the effect of actions that the
+                mask forbids.
 
         Raises:
-            ValueError: when a robot has no action, or one that is none of the ten, or when there
-                is no such robot.
+            ValueError: when a robot's action is missing or not one of the ten, or for an unknown
+                robot.
             RuntimeError: before a reset, and after the end of an episode.
         """
         if not self.agents:
-            raise RuntimeError("no episode is under way: call reset() first")
+            raise RuntimeError("no episode is in progress: call reset() first")
         if strangers := set(actions).difference(self.agents):
             raise ValueError(
                 f"actions of {sorted(strangers)} are not allowed: the robots are {self.agents}"
@@ -202,7 +202,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         return torch.cat([part.flatten().float() for part in parts]).numpy()
 
     def render(self) -> NDArray[np.uint8] | str | None:
-        """What the team knows together as an image uint8 [16 H, 16 W, 3], or as text."""
+        """The union of the robots' maps as an image uint8 [16 H, 16 W, 3], or as text."""
         if self.render_mode is None:
             return None
         draw = ascii_picture if self.render_mode == "ansi" else rgb_picture
@@ -210,12 +210,12 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         return draw(agents["map"][0], agents["position"][0])
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing: there are no resources to release."""
 
     @property
     def _current(self) -> TensorDictBase:
         if self._now is None:
-            raise RuntimeError("no episode is under way: call reset() first")
+            raise RuntimeError("no episode is in progress: call reset() first")
         return self._now
 
     def _given(self, start: dict[str, Any]) -> TensorDict:

@@ -1,4 +1,4 @@
-"""What a team knows together, as text and as an image."""
+"""The union of a team's maps, as text and as an image."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SYMBOLS = "?.#"
 
 
 def ascii_picture(maps: Tensor, position: Tensor) -> str:
-    """A line per row: ? unknown, . free, # occupied, a digit per robot (the tenth is 0 again).
+    """One line per row: ? unknown, . free, # occupied, a digit per robot (modulo 10).
 
     Args:
         maps: int8 [N, H, W].
@@ -30,7 +30,7 @@ def ascii_picture(maps: Tensor, position: Tensor) -> str:
 
 
 def rgb_picture(maps: Tensor, position: Tensor) -> NDArray[np.uint8]:
-    """An image uint8 [16 H, 16 W, 3]: known cells, and a square of its colour per robot.
+    """An image uint8 [16 H, 16 W, 3]: known cells, and a coloured square per robot.
 
     Args:
         maps: int8 [N, H, W].

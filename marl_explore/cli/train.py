@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
@@ -23,6 +23,7 @@ import tyro
 
 from marl_explore.cli.common import OPTIONS, fitted, flag_value
 from marl_explore.cli.resume import Resume
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
 from marl_explore.config.run import RunConfig, parse_seeds
 from marl_explore.policies.networks import NETWORKS
@@ -64,8 +65,8 @@ def parse(
 ) -> Arguments:
     """Parse a command line: a preset and changes to it, or a run to resume.
 
-    A suite fixes size and density, which other flags then cannot change. The options of a network
-    that it names replace those of the preset's network, also as flags.
+    A suite fixes size and density, which other flags then cannot change. With another network, the
+    flags of its options replace those of the preset's network.
     """
     run = run or RunConfig()
     arenas, network = flag_value(words, "--arenas") or "uniform", flag_value(words, "--network")
@@ -90,6 +91,14 @@ def _start(config: TrainConfig, arenas: str, network: str | None, run: RunConfig
     """The defaults of a preset, with a kind of arenas and a network by name."""
     config = replace(config, arena=fitted(config.arena, arenas))
     kind = NETWORKS.get(network or config.network.name, type(config.network))
+    taken = {
+        field.name for of in (Start, TrainConfig, ArenaConfig, RunConfig) for field in fields(of)
+    }
+    if clash := taken & {*kind.option_names()}:
+        raise ValueError(
+            f"network={kind.name!r} cannot be chosen on the command line: its option "
+            f"{min(clash)!r} has the name of another setting"
+        )
     if not isinstance(config.network, kind):
         critic_input = config.critic_input
         if critic_input not in kind().critic_inputs:

@@ -1,4 +1,4 @@
-"""Settings of arenas, robots, training and runs, and what numbers in maps and actions mean.
+"""Settings of arenas, robots and runs, and the constants of maps and actions.
 
-Import its modules from anywhere; it imports nothing of the package, and no torch.
+Any module may import it; it imports nothing else from the package, and not torch.
 """

@@ -1,4 +1,4 @@
-"""Settings of an arena and its robots: given in metres, used by the rules in cells."""
+"""Settings of an arena and its robots: given in metres, converted to cells for the rules."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from marl_explore.config.checks import require, require_integer, require_positive
 
 ANY_SIZE = ("uniform", "mixed")
-"""Kinds of arenas that take any size; suites have their own."""
+"""Kinds of arenas that take any size; suites have a fixed size."""
 TOLERANCE = 1e-9
-"""Slack of every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
+"""Tolerance in every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class ArenaConfig:
     """Whether two obstacles hide the diagonal cell behind them (3 x 3 field of view only)."""
 
     def __post_init__(self) -> None:
-        """Refuse settings that describe no arena."""
+        """Raise an error for settings that are not allowed."""
         require_integer("height", self.height, 1)
         require_integer("width", self.width, 1)
         require_integer("num_agents", self.num_agents, 1)
@@ -93,7 +93,7 @@ class ArenaConfig:
 
     @property
     def fov_radius(self) -> int:
-        """The k of the (2k+1) x (2k+1) field of view: its square lies inside the sensing disc."""
+        """k of the (2k+1) x (2k+1) field of view, whose square lies inside the sensing disc."""
         return math.floor(self.sensing_range / (math.sqrt(2) * self.cell_size) - 0.5 + TOLERANCE)
 
     @property
@@ -108,10 +108,10 @@ class ArenaConfig:
 
     @property
     def max_discovery(self) -> int:
-        """Most cells one diagonal move can discover, the paper's e_max = 4k + 1 (Eq. 5)."""
+        """Most cells that one move can discover, the paper's e_max = 4k + 1 (Eq. 5)."""
         return 4 * self.fov_radius + 1
 
     @property
     def observation_size(self) -> int:
-        """Numbers one robot's actor reads: FOV, FPR (8 x 3) and NET; 37 for the paper's arena."""
+        """Size of the paper's actor input: FOV, FPR (8 x 3) and NET; 37 for the paper's arena."""
         return self.fov_size**2 + 24 + self.num_agents

@@ -1,11 +1,11 @@
-"""What the numbers in maps, actions and feature tables mean; without torch, for every side."""
+"""Constants of maps, actions and feature tables, without torch."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
-"""Cell codes of an occupancy map (int8)."""
+"""Cell values of an occupancy map (int8)."""
 
 COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """(row, column) offsets of N, NE, E, SE, S, SW, W, NW; row 0 is north."""
@@ -17,7 +17,7 @@ FORBIDDEN_LOGIT = -1e4
 """Logit of an action that is never chosen, in every precision."""
 
 NUM_FEATURES = 3
-"""Numbers of the feature table per direction."""
+"""Columns of the feature table per direction."""
 Normalization = Literal["relative", "proximity", "absolute"]
 NORMALIZATIONS: tuple[Normalization | None, ...] = ("relative", "proximity", "absolute", None)
 

@@ -1,4 +1,4 @@
-"""How a run is carried out, watched and kept; what is learned is told by ``TrainConfig``."""
+"""Execution settings of a run: collection, validation, checkpoints, logging."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ _CHOICES = {
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Where data are collected, and what is kept of a run.
+    """Execution settings of a run; ``TrainConfig`` has what is learned.
 
-    Of these only ``collector`` and ``workers`` touch what is learned: every worker draws its
-    actions from a random generator of its own.
+    Only ``collector`` and ``workers`` affect what is learned: every worker samples its actions
+    from a random generator of its own.
 
     Raises:
         ValueError: naming the field, its value and what is allowed.
     """
 
     collector: CollectorKind = "process"
-    """Who collects: this process, worker processes in step or not, or Ray's workers."""
+    """Who collects data: this process, worker processes (in step or not), or Ray's workers."""
     workers: int = 1
-    """Workers that share the arenas evenly."""
+    """Number of workers, which share the arenas evenly."""
     ray_address: str | None = None
-    """Ray cluster to join, "auto" or host:port; None: Ray is started on this machine."""
+    """Ray cluster to join, "auto" or host:port; None: start Ray on this machine."""
     threads: int = 1
     """CPU threads of torch."""
     checkpoint_every: int = 20
-    """Updates between checkpoints; 0: only one at the end."""
+    """Updates between checkpoints; 0: only at the end."""
     keep_checkpoints: int = 3
-    """Checkpoints kept, the newest."""
+    """Number of newest checkpoints that are kept."""
     validate_every: int = 50
     """Updates between validations of the policy; 0: never."""
     validation_arenas: int = 64
-    """Arenas of a validation, the same in all of them and apart from training's and test's."""
+    """Arenas of a validation, always the same, and different from training and test arenas."""
     validation_steps: int | None = None
-    """Steps of an episode of a validation; None: those of an evaluation on the run's arenas."""
+    """Length of a validation episode in steps; None: as in an evaluation on the run's arenas."""
     select_by: Selection = "steps_to_100"
-    """Measure of a validation whose smallest value makes the policy the best one."""
+    """Validation measure whose smallest value selects the best policy."""
     logger: LoggerName = "csv"
-    """Where metrics go, beside the CSV files that are always written."""
+    """Logger of the metrics, in addition to CSV files, which are always written."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Raise an error for settings that are not allowed."""
         for name in ("workers", "threads", "keep_checkpoints"):
             require_integer(name, getattr(self, name), 1)
         require_integer("validation_arenas", self.validation_arenas, 1)
@@ -76,10 +76,10 @@ class RunConfig:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds in words: ranges and numbers, "0-4" or "0,2,7-9".
+    """Seeds from text with ranges and numbers, such as "0-4" or "0,2,7-9".
 
     Raises:
-        ValueError: for anything else, and for a seed that comes twice.
+        ValueError: for anything else, and for a seed that is given twice.
     """
     seeds: list[int] = []
     for part in text.split(","):
@@ -91,5 +91,5 @@ def parse_seeds(text: str) -> list[int]:
             raise ValueError(f"seeds={text!r} is not allowed: use a range 0-4 or a list 0,2,7")
         seeds += span
     if len(set(seeds)) < len(seeds):
-        raise ValueError(f"seeds={text!r} is not allowed: every seed must come once")
+        raise ValueError(f"seeds={text!r} is not allowed: give every seed only once")
     return seeds

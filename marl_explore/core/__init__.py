@@ -1,5 +1,5 @@
 """The rules of the task as pure functions on torch tensors (docs/environment.md).
 
-Every function takes any leading batch dimensions, written ``*B`` below; ``N`` is the number of
-robots, ``H x W`` the grid. Nothing here keeps state, and nothing loops over arenas or robots.
+Every function takes any leading batch dimensions, written ``*B``; ``N`` is the number of robots and
+``H x W`` the size of the grid. Nothing here keeps state or loops over arenas or robots.
 """

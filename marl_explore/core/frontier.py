@@ -1,4 +1,4 @@
-"""Frontiers and the feature table of how they lie behind the eight directions (FPR)."""
+"""Frontiers, and the feature table of paths to them in the eight directions (FPR)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from marl_explore.core.wavefront import batch_last, flood, mask
 
 
 def frontier_mask(grid: Tensor) -> Tensor:
-    """Known-free cells with an unknown 4-neighbour, bool [*B, H, W], for maps [*B, H, W]."""
+    """Known free cells with an unknown 4-neighbour, bool [*B, H, W], of maps [*B, H, W]."""
     unknown = torch.nn.functional.pad(grid == UNKNOWN, (1, 1, 1, 1))
     beside = (
         unknown[..., :-2, 1:-1]
@@ -32,17 +32,18 @@ def feature_table(
     normalize: Normalization | None = "relative",
     levels: int | None = None,
 ) -> Tensor:
-    """Trajectories to the frontiers, counted and measured by their first move (Algorithm 1).
+    """Number and lengths of the paths to frontiers, by their first move (Algorithm 1).
 
-    Per direction: number of trajectories, their mean length and its population standard
-    deviation (cells), over the shortest paths from the robot to every frontier it can reach
-    through known-free cells. Of several shortest paths the lowest first direction counts.
+    Per direction, the number of paths, their mean length and the population standard deviation of
+    their lengths (cells), over the shortest paths from the robot to every frontier that it can
+    reach through known free cells. Of several shortest paths the one with the lowest first
+    direction counts.
 
     Args:
         grid: maps, int8 [*B, H, W], -1 unknown, 0 free, 1 occupied.
         position: int64 [*B, 2].
         normalize: "relative", "proximity", "absolute" or None (raw); see docs/environment.md, FPR.
-        levels: longest path that is looked for, without host synchronisation; None: all.
+        levels: maximum path length, searched without host synchronisation; None: all paths.
 
     Returns:
         float32 [*B, 8, 3].
@@ -76,7 +77,7 @@ def nearest_frontier(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def paths(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-    """First move and length of the shortest path to every known-free cell.
+    """First move and length of the shortest path to every known free cell.
 
     Args:
         grid: maps, int8 [*B, H, W].
@@ -84,7 +85,7 @@ def paths(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         Directions int64 and lengths int64 (cells), [*B, H, W] each; both 0 in the robot's own cell
-        and where no path leads.
+        and in unreachable cells.
     """
     *batch, height, width = grid.shape
     labels, distance, _ = _search(grid.reshape(-1, height, width), position.reshape(-1, 2), None)
@@ -97,21 +98,21 @@ def paths(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Trajectories(NamedTuple):
-    """The shortest paths of a batch of robots to their frontiers; entries of length 0 are none."""
+    """The shortest paths of a batch of robots to their frontiers; entries of length 0 are empty."""
 
     robot: Tensor
     """Row of the batch, int64 [F]."""
     direction: Tensor
     """First move, int64 [F]."""
     length: Tensor
-    """Moves, float64 [F] (cells)."""
+    """Number of moves, float64 [F]."""
 
 
 def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Trajectories:
     """Paths to all reachable frontiers of maps [M, H, W] from positions [M, 2]."""
     labels, distance, frontier = _search(grid, position, levels)
     labels[1:-1, 1:-1] &= frontier
-    # only the few frontiers are worth looking at; how many they are takes a host synchronisation
+    # frontiers are few, so select them; finding their number takes a host synchronisation
     labels, distance = labels.flatten(), distance.flatten()
     if levels is None:
         cell = labels.nonzero().squeeze(-1)
@@ -134,7 +135,7 @@ def _search(grid: Tensor, position: Tensor, levels: int | None) -> tuple[Tensor,
 
 
 def _beside_unknown(known: Tensor) -> Tensor:
-    """Byte mask [H, W, M] of the cells with an unknown 4-neighbour, of known ones [H+2, W+2, M]."""
+    """Byte mask [H, W, M] of cells with an unknown 4-neighbour, from known cells [H+2, W+2, M]."""
     beside = known[:-2, 1:-1] & known[2:, 1:-1]
     beside &= known[1:-1, :-2]
     beside &= known[1:-1, 2:]
@@ -142,7 +143,7 @@ def _beside_unknown(known: Tensor) -> Tensor:
 
 
 class Moments(NamedTuple):
-    """Path lengths of M robots, summed up: float64 [M, 8] each, the longest path [M, 1]."""
+    """Sums over the path lengths of M robots: float64 [M, 8] each, and the longest path [M, 1]."""
 
     number: Tensor
     total: Tensor
@@ -151,7 +152,7 @@ class Moments(NamedTuple):
 
 
 def _moments(found: Trajectories, robots: int) -> Moments:
-    """Number, sum and squares of the path lengths of each robot and direction."""
+    """Number, sum and sum of squares of the path lengths of each robot and direction."""
     length = found.length
     powers = torch.stack(((length > 0).double(), length, length * length), -1)
     sums = powers.new_zeros(robots * NUM_DIRECTIONS, 3)
@@ -162,7 +163,7 @@ def _moments(found: Trajectories, robots: int) -> Moments:
 
 
 def _first_moves(position: Tensor, free: Tensor, passable: Tensor) -> tuple[Tensor, Tensor]:
-    """The front that labels each neighbour with its direction's bit, and where paths may go."""
+    """The first front, with each neighbour labelled by its direction's bit, and the free cells."""
     fresh, front = free.clone(), torch.zeros_like(free)
     row_stride, column_stride, _ = free.stride()
     start = flat_cell(position + 1, free.shape[1]) * column_stride

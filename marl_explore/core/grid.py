@@ -1,4 +1,4 @@
-"""The compass, the cell codes, and reading a grid around a robot."""
+"""Directions, cell values, and indexing a grid around a robot."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def action_offsets(device: torch.device) -> Tensor:
 
 @lru_cache
 def square_steps(radius: int, stride: int, device: torch.device) -> Tensor:
-    """Steps from a square's centre to all its cells in a flattened grid, int64 [(2k+1)^2]."""
+    """Offsets from a square's centre to its cells in a flattened grid, int64 [(2k+1)^2]."""
     steps = torch.arange(-radius, radius + 1, device=device)
     return (stride * steps.unsqueeze(-1) + steps).flatten()
 
 
 def flat_cell(position: Tensor, stride: int) -> Tensor:
-    """Place of each robot's cell [*B, N, 2] in a flattened grid with rows of ``stride`` cells."""
+    """Index of each robot's cell [*B, N, 2] in a flattened grid with rows of ``stride`` cells."""
     return torch.add(position[..., 1], position[..., 0], alpha=stride)
 
 
@@ -45,7 +45,7 @@ def flat_cell(position: Tensor, stride: int) -> Tensor:
 def squares(height: int, width: int, radius: int, device: torch.device) -> Tensor:
     """Cells of the square around each cell of a flattened grid, int64 [H W, (2k + 1)^2].
 
-    Off the grid the cell in the middle stands in.
+    Cells outside the grid are replaced by the centre cell.
     """
     cell = torch.arange(height * width, device=device).unsqueeze(-1)
     steps = torch.arange(-radius, radius + 1, device=device)

@@ -1,6 +1,6 @@
-"""Counter-based random numbers: a hash of what a number is for replaces a generator's state.
+"""Counter-based random numbers: hashes of their purpose, instead of a generator with a state.
 
-The same inputs give the same number on any device, batch size, worker and torch version.
+The same inputs give the same number for any device, batch size, worker and torch version.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _MASK = (1 << 64) - 1
 
 
 def _signed(value: int) -> int:
-    """The int64 with the bits of a 64-bit unsigned number."""
+    """The int64 with the bits of an unsigned 64-bit number."""
     value &= _MASK
     return value - (1 << 64) if value >> 63 else value
 
@@ -25,12 +25,12 @@ _MULTIPLY_2 = _signed(0x94D049BB133111EB)
 
 
 def _shift_right(x: Tensor, bits: int) -> Tensor:
-    """Logical shift: int64 shifts drag the sign bit along."""
+    """Logical right shift; shifting an int64 would copy the sign bit."""
     return (x >> bits) & ((1 << (64 - bits)) - 1)
 
 
 def mix(x: Tensor) -> Tensor:
-    """Scramble int64 tensors of any shape by the finaliser of splitmix64."""
+    """Hash int64 tensors of any shape with the finaliser of splitmix64."""
     x = x + _GOLDEN
     x = (x ^ _shift_right(x, 30)) * _MULTIPLY_1
     x = (x ^ _shift_right(x, 27)) * _MULTIPLY_2
@@ -38,7 +38,7 @@ def mix(x: Tensor) -> Tensor:
 
 
 def combine(*parts: Tensor | int) -> Tensor:
-    """One int64 hash of several integers in their order; the parts broadcast."""
+    """One int64 hash of several integers, in order; the parts broadcast."""
     result = torch.zeros((), dtype=torch.int64)
     for part in parts:
         if isinstance(part, Tensor):
@@ -55,5 +55,5 @@ def text_key(text: str) -> int:
 
 
 def stream_seed(stream: str, seed: int) -> int:
-    """The seed of one stream: what generators of arenas are given as their seed."""
+    """The seed of one stream, which is passed to arena generators."""
     return int(combine(text_key(stream), seed))

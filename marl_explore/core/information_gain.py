@@ -1,4 +1,4 @@
-"""What is left to each robot of a team: the frontiers to which it is the nearest."""
+"""Which frontiers are left to each robot of a team: those to which it is the nearest."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from marl_explore.core.sensing import cells_in_view, unknown_around
 from marl_explore.core.wavefront import nearest_distance
 
 MANY_FRONTIERS = 8
-"""So many frontiers in a direction read as one half."""
+"""Number of frontiers in a direction that is scaled to one half."""
 TERRITORY_SIZE = 5
-"""Numbers of a direction in ``territory_table``."""
+"""Columns of ``territory_table``."""
 
 
 def territory_table(grid: Tensor, position: Tensor, linked: Tensor, radius: int) -> Tensor:
-    """The frontiers to which no other robot in range is nearer, by the first move to them.
+    """The frontiers to which no other linked robot is nearer, by the first move to them.
 
-    Distances are those of FPR, on the robot's own map; a robot in range may stand in a cell that
-    the map does not know. A robot that is left with no such frontier looks at all of them. Per
-    direction: how many frontiers there are, n / (n + 8); how near the nearest is, 1 / moves; its
-    value, the largest share of unknown cells in the square around one of them, divided by the moves
-    there; nearness and value again, as shares of the best direction's, which tell directions apart
-    however far all frontiers are.
+    Distances are path lengths as for FPR, on the robot's own map; a linked robot may stand in a
+    cell that is unknown there. A robot without such a frontier uses all frontiers. Per direction,
+    the columns are: the number n of frontiers, n / (n + 8); the nearness of the nearest,
+    1 / moves; the value, the largest share of unknown cells in the square around a frontier,
+    divided by the moves to it; then nearness and value as fractions of the best direction's, which
+    distinguish directions however far away all frontiers are.
 
     Args:
         grid: maps of a team, int8 [*B, N, H, W].
         position: int64 [*B, N, 2].
         linked: ``links.links``, bool [*B, N, N].
-        radius: of the square a robot sees (cells).
+        radius: of the square that a robot sees (cells).
 
     Returns:
         float32 [*B, N, 8, 5].
@@ -61,7 +61,7 @@ def territory_table(grid: Tensor, position: Tensor, linked: Tensor, radius: int)
 
 
 def _others_distance(grid: Tensor, position: Tensor, linked: Tensor) -> Tensor:
-    """Moves from the nearest other robot in range to every cell of a robot's map, [*B, N, H, W]."""
+    """Moves from the nearest other linked robot to every cell of a robot's map, [*B, N, H, W]."""
     height, width = grid.shape[-2:]
     others = linked_others(linked)
     cell = flat_cell(position, width).unsqueeze(-2).expand_as(others)

@@ -1,7 +1,7 @@
-"""Who is linked: the one place that knows how far a radio reaches.
+"""Links: which pairs of robots can communicate. Only this module knows the range.
 
 Links are computed once per step, are part of the world's state, and are published as
-("agents", "linked"); masks, networks, features, planners and pictures read them there.
+("agents", "linked"), where masks, networks, features, planners and replays read them.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from marl_explore.config.arena import TOLERANCE, ArenaConfig
 from marl_explore.core.grid import other_robots
 
 _FARTHEST = 2.0**50
-"""More than the squared distance of any two cells; infinite ranges end here."""
+"""Larger than any squared distance of two cells; stands for an infinite range."""
 
 
 def links(config: ArenaConfig, position: Tensor, obstacles: Tensor) -> Tensor:
     """Pairs of robots that can communicate, bool [*B, N, N]: those within range of each other.
 
     Args:
-        config: the radio.
+        config: has the communication range.
         position: int64 [*B, N, 2].
-        obstacles: bool [*B, H, W]; they do not weaken this radio.
+        obstacles: bool [*B, H, W]; they do not block communication.
 
     Returns:
         Symmetric, and True on the diagonal.
@@ -44,16 +44,16 @@ def within_range(position: Tensor, range_cells: float) -> Tensor:
     """
     cells = position.double()
     distance = torch.cdist(cells, cells, compute_mode="donot_use_mm_for_euclid_dist")
-    # squared distances are whole numbers: half-way to the next no rounding decides
+    # squared distances are integers, so a limit halfway between two is safe from rounding
     limit = math.floor(min((range_cells + TOLERANCE) ** 2, _FARTHEST))
     return distance < math.sqrt(limit + 0.5)
 
 
 def linked_others(linked: Tensor) -> Tensor:
-    """Linked pairs of different robots, bool [*B, N, N], of ``links`` [*B, N, N]."""
+    """Linked pairs of different robots, bool [*B, N, N], from ``links`` [*B, N, N]."""
     return linked & other_robots(linked.shape[-1], linked.device).bool()
 
 
 def any_linked(linked: Tensor) -> Tensor:
-    """Whether another robot is linked to each, bool [*B, N], of ``links`` [*B, N, N]."""
+    """Whether each robot is linked to another one, bool [*B, N], from ``links`` [*B, N, N]."""
     return linked.sum(-1) > 1

@@ -20,7 +20,7 @@ from marl_explore.core.wavefront import batch_last, flood, mask
 
 
 def blank_maps(position: Tensor, height: int, width: int) -> Tensor:
-    """Maps that know the robots' own cells [*B, N, 2] only, int8 [*B, N, H, W]."""
+    """Maps in which only the robots' own cells [*B, N, 2] are known, int8 [*B, N, H, W]."""
     shape = (*position.shape[:-1], height * width)
     grid = torch.full(shape, UNKNOWN, dtype=torch.int8, device=position.device)
     grid.scatter_(-1, flat_cell(position, width).unsqueeze(-1), FREE)
@@ -28,9 +28,9 @@ def blank_maps(position: Tensor, height: int, width: int) -> Tensor:
 
 
 def closed_diagonals(wall: Tensor) -> Tensor:
-    """Diagonals between two walls [*B, N, 9], of the walls ``sensing.beside`` [*B, N, 9].
+    """Diagonals between two walls [*B, N, 9], from the walls ``sensing.beside`` [*B, N, 9].
 
-    Both bool, or int8 of 0 and 1.
+    Both are bool, or int8 of 0 and 1.
     """
     left, right = _sides(wall.device)
     return wall.index_select(-1, left) & wall.index_select(-1, right)
@@ -38,15 +38,14 @@ def closed_diagonals(wall: Tensor) -> Tensor:
 
 @lru_cache
 def _sides(device: torch.device) -> tuple[Tensor, Tensor]:
-    """The directions on either side of each diagonal, int64 [9]; else the own cell, no wall."""
+    """The directions on either side of each diagonal, int64 [9]; else the own cell, not a wall."""
     left = [(d - 1) % NUM_DIRECTIONS if d % 2 else STAY for d in range(STAY + 1)]
     right = [(d + 1) % NUM_DIRECTIONS if d % 2 else STAY for d in range(STAY + 1)]
     return torch.tensor(left, device=device), torch.tensor(right, device=device)
 
 
-# What a map knows is kept as float masks where many cells are combined or counted: products and
-# sums of floats are fast on every device, where comparing and selecting cells is not. Sums are
-# exact up to 2^24 cells.
+# Where many cells are combined or counted, known cells are float masks: products and sums of floats
+# are fast on every device, comparing and selecting cells is not. Sums are exact up to 2^24 cells.
 
 
 def known_mask(grid: Tensor) -> Tensor:
@@ -55,7 +54,7 @@ def known_mask(grid: Tensor) -> Tensor:
 
 
 def merge(known: Tensor, network: Tensor) -> Tensor:
-    """What every robot knows after each network's members took over the union of their maps.
+    """What every robot knows after each network's members have merged their maps.
 
     Args:
         known: ``known_mask`` of the maps, float32 [*B, N, H, W].
@@ -70,12 +69,12 @@ def merge(known: Tensor, network: Tensor) -> Tensor:
 
 
 def union_of(grid: Tensor) -> Tensor:
-    """What a team knows together, int8 [*B, H, W], of its maps [*B, N, H, W]."""
-    return grid.amax(-3)  # unknown is the lowest code, and known cells agree
+    """The union of a team's maps [*B, N, H, W], int8 [*B, H, W]."""
+    return grid.amax(-3)  # unknown is the lowest value, and known cells agree
 
 
 def draw(known: Tensor, obstacles: Tensor) -> Tensor:
-    """The maps of robots that know some cells: a map says the truth, or nothing.
+    """Maps with the true values of the known cells.
 
     Args:
         known: float32 [*B, N, H, W] of 0 and 1.
@@ -105,7 +104,7 @@ def known_targets(known: Tensor, target: Tensor) -> Tensor:
 
 
 def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
-    """Free cells that some robot can reach by legal moves, robots not blocking one another.
+    """Free cells that some robot can reach by legal moves; robots do not block one another.
 
     Args:
         obstacles: bool [*B, H, W].
@@ -123,7 +122,7 @@ def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
 
 
 def target_cells(obstacles: Tensor, position: Tensor) -> Tensor:
-    """Cells an exploration has to map: reachable cells and their 4-neighbours, bool [*B, H, W]."""
+    """Cells that are to be mapped: reachable cells and their 4-neighbours, bool [*B, H, W]."""
     reachable = reachable_cells(obstacles, position)
     target = reachable.clone()
     target[..., 1:, :] |= reachable[..., :-1, :]
@@ -134,7 +133,7 @@ def target_cells(obstacles: Tensor, position: Tensor) -> Tensor:
 
 
 def connected(obstacles: Tensor) -> Tensor:
-    """Whether legal moves join all free cells, bool [*B], for obstacles [*B, H, W]."""
+    """Whether legal moves connect all free cells, bool [*B], for obstacles [*B, H, W]."""
     free = ~obstacles.flatten(-2)
     first = free.to(torch.uint8).argmax(-1, keepdim=True)
     width = obstacles.shape[-1]
@@ -144,6 +143,6 @@ def connected(obstacles: Tensor) -> Tensor:
 
 
 def cells_of_share(share: float, cells: Tensor) -> Tensor:
-    """Fewest whole cells that make up a share of ``cells`` [*B], float64 [*B]."""
-    # the slack keeps 0.9 * 110 from asking for one cell more
+    """Smallest number of whole cells that is a share of ``cells`` [*B], float64 [*B]."""
+    # the tolerance keeps 0.9 * 110 from requiring one more cell
     return (share * cells.double() - TOLERANCE).ceil()

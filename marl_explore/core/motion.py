@@ -1,4 +1,4 @@
-"""Which moves are open, and what happens when all robots move at once."""
+"""Which moves are open, and the result of simultaneous moves."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from marl_explore.core.sensing import OPEN, WALL, beside
 
 
 def open_moves(view: Tensor) -> Tensor:
-    """Moves without a danger that is visible before anyone moves, bool [*B, N, 9].
+    """Moves without a danger that is visible beforehand, bool [*B, N, 9].
 
     A move is open unless its target is outside, is an obstacle or holds a robot, or it is a
-    diagonal between two obstacles. The ninth, to stay, always is.
+    diagonal between two obstacles. The ninth, staying, is always open.
 
     Args:
         view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
@@ -27,7 +27,7 @@ def open_moves(view: Tensor) -> Tensor:
 
 
 def action_mask(open_moves: Tensor, linked: Tensor) -> Tensor:
-    """Allowed actions: open moves, always stay, communicate when linked to another robot.
+    """Allowed actions: open moves, staying, and communicating if linked to another robot.
 
     Args:
         open_moves: bool [*B, N, 9].
@@ -40,20 +40,21 @@ def action_mask(open_moves: Tensor, linked: Tensor) -> Tensor:
 
 
 def random_allowed(mask: Tensor) -> Tensor:
-    """Uniform choice among the allowed actions, int64 [*B, N], of a mask bool [*B, N, A]."""
+    """Uniform random choice of an allowed action, int64 [*B, N], for a mask bool [*B, N, A]."""
     choice = torch.multinomial(mask.flatten(0, -2).float(), 1)
     return choice.view(mask.shape[:-1])
 
 
 def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
-    """The wanted actions; a random open move for who moves again after a refusal, or may not.
+    """The wanted actions, with blocked moves replaced by a random open move (the yield rule).
 
-    Without this yield rule two robots that want to pass block each other for ever.
+    A move is blocked if it is not allowed, or if the robot's last move was refused. Without this
+    rule two robots that want to pass each other would block each other forever.
 
     Args:
         wanted: int64 [*B, N].
         mask: allowed actions, bool [*B, N, 10].
-        refused: whether the last move was, bool [*B, N].
+        refused: whether the last move was refused, bool [*B, N].
 
     Returns:
         int64 [*B, N].
@@ -67,7 +68,7 @@ def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
 
 
 def dangerous_moves(allowed: Tensor, position: Tensor, action: Tensor) -> Tensor:
-    """Robots whose move is refused: closed, to a cell another one chose, or across its way.
+    """Robots whose move is refused: not open, to another robot's target, or across its path.
 
     Args:
         allowed: ``action_mask``, bool [*B, N, 10], before the moves.
@@ -81,8 +82,8 @@ def dangerous_moves(allowed: Tensor, position: Tensor, action: Tensor) -> Tensor
     is_open = allowed.gather(-1, action.unsqueeze(-1)).squeeze(-1)
     start = flat_cell(position, _ROW)
     target = start + _of_each(action, _steps(action.device))
-    # a pair with equal sums of start and target has one midpoint: its ways cross. Robots that do
-    # not move are no contenders: their cell is closed to others, and no move ends or crosses there
+    # two moves with equal sums of start and target have the same midpoint: their paths cross.
+    # Robots that do not move never contend: no open move ends in or crosses their cell
     doubled_midpoint = start + target
     conflict = _equal_pairs(target) | _equal_pairs(doubled_midpoint)
     alone = conflict.sum(-1) == 1  # every robot is equal to itself
@@ -96,12 +97,12 @@ def move(position: Tensor, action: Tensor, dangerous: Tensor) -> Tensor:
 
 
 _ROW = 1 << 16
-"""A cell as one number, row * _ROW + column, also one off the grid: wider than any arena."""
+"""Encodes a cell, also outside the grid, as row * _ROW + column; larger than any width."""
 
 
 @lru_cache
 def _steps(device: torch.device) -> Tensor:
-    """The ten actions' moves in such numbers, int64 [10]."""
+    """The moves of the ten actions in this encoding, int64 [10]."""
     row, column = action_offsets(device).T
     return row * _ROW + column
 

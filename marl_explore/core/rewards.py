@@ -12,7 +12,7 @@ from marl_explore.core.grid import COMMUNICATE, STAY, other_robots
 
 
 class StepRecord(NamedTuple):
-    """What one step did, for rewards to judge; |M| is the number of known cells of a map."""
+    """What one step did, the argument of a reward; |M| is the number of known cells of a map."""
 
     action: Tensor
     """int64 [*B, N]."""
@@ -21,9 +21,9 @@ class StepRecord(NamedTuple):
     network: Tensor
     """Pairs in one network, bool [*B, N, N], True on the diagonal for its members."""
     discovered: Tensor
-    """Cells new to the own map by own sensing, int64 [*B, N]."""
+    """New cells of the own map from own sensing, int64 [*B, N]."""
     received: Tensor
-    """Cells new to the own map by merging, int64 [*B, N]."""
+    """New cells of the own map from merging, int64 [*B, N]."""
     known: Tensor
     """|M_i| after the step, int64 [*B, N]."""
     unshared: Tensor
@@ -33,7 +33,7 @@ class StepRecord(NamedTuple):
     num_cells: int
     """H x W."""
     max_discovery: int
-    """e_max, the most cells one move can discover."""
+    """e_max, the most cells that one move can discover."""
 
     @property
     def merged(self) -> Tensor:
@@ -52,7 +52,7 @@ class StepRecord(NamedTuple):
 
 
 Reward = Callable[[StepRecord], Tensor]
-"""From a step's record to each robot's own reward, float [*B, N]; the team gets their mean."""
+"""From a step's record to each robot's own reward, float [*B, N]; the team's is their mean."""
 
 
 def case1(step: StepRecord) -> Tensor:
@@ -61,13 +61,13 @@ def case1(step: StepRecord) -> Tensor:
 
 
 def case2(step: StepRecord) -> Tensor:
-    """-10 if dangerous, a share of what a merge brought, else discoveries less idleness (Eq. 3)."""
+    """-10 if dangerous, a share of a merge's gain, else discoveries minus idleness (Eq. 3)."""
     reward = _case2(step, idle=step.action == STAY)
     return reward.masked_fill_((step.action == COMMUNICATE) & ~step.merged, 0.0)
 
 
 def case2_literal(step: StepRecord) -> Tensor:
-    """As ``case2``, but a lone communicator shares no data and so counts as idle."""
+    """As ``case2``, but a robot that communicates alone shares no data and counts as idle."""
     return _case2(step, idle=(step.action == STAY) | (step.action == COMMUNICATE))
 
 
@@ -88,14 +88,14 @@ def _share_bonus(step: StepRecord) -> Tensor:
 
 
 def team(step: StepRecord) -> Tensor:
-    """Growth of the largest map, less a price of time and of dangers; the same for every robot."""
+    """Growth of the largest map minus costs of time and refused moves; equal for all robots."""
     return _less_prices(_growth(step), step)
 
 
 def progress(step: StepRecord) -> Tensor:
-    """As ``team``, but what counts is the mean of the largest map's and the mean map's growth.
+    """As ``team``, but with the mean of two growths: of the largest map and of the mean map.
 
-    Discoveries of every robot count at once, not only when they reach the largest map.
+    Discoveries of every robot count immediately, not only when they reach the largest map.
     """
     mean = step.gain.float().mean(-1, keepdim=True)
     return _less_prices((_growth(step) + mean) / 2, step)
@@ -108,7 +108,7 @@ def _growth(step: StepRecord) -> Tensor:
 
 
 def _less_prices(growth: Tensor, step: StepRecord) -> Tensor:
-    """Growth [*B, 1] (cells) as reward, less a price of time and of dangers, float [*B, N]."""
+    """Growth [*B, 1] (cells) as reward, minus costs of time and refused moves, float [*B, N]."""
     danger = step.dangerous.float().mean(-1, keepdim=True)
     unfinished = ~step.complete.unsqueeze(-1)
     return (growth / 40 - 0.1 * unfinished - 0.25 * danger).expand_as(step.dangerous)
@@ -124,10 +124,10 @@ REWARDS: dict[str, Reward] = {
 
 
 def checked(reward: Tensor, step: StepRecord) -> Tensor:
-    """A reward that has the type and shape of one, float [*B, N].
+    """The reward, after checking that it is float [*B, N].
 
     Raises:
-        ValueError: naming what it has instead.
+        ValueError: naming its dtype and shape.
     """
     shape = step.action.shape
     if not reward.is_floating_point() or reward.shape != shape:
@@ -139,7 +139,7 @@ def checked(reward: Tensor, step: StepRecord) -> Tensor:
 
 
 def resolve(reward: str | Reward) -> Reward:
-    """The reward of a name, or the callable itself.
+    """The reward with this name, or the callable itself.
 
     Raises:
         ValueError: naming the known rewards, for an unknown name.

@@ -1,7 +1,7 @@
-"""What robots see: the one place that knows the shape and the reach of their sensors.
+"""Sensing: only this module knows the shape and range of the sensors.
 
-What stands around each robot, what that writes into its map, and what it could expect to see from
-other cells.
+It computes what is around each robot, what that writes into its map, and what it could expect to
+see from other cells.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from marl_explore.core.grid import (
 )
 
 OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 4
-"""What stands in a cell around a robot (int8, a bit each); UNSEEN is outside or hidden."""
+"""Contents of a cell around a robot (int8, one bit each); UNSEEN is outside or hidden."""
 
 
 def bordered(obstacles: Tensor, radius: int) -> Tensor:
-    """Obstacles bool [*B, H, W] as codes with a border of UNSEEN, int8 [*B, H + 2k, W + 2k]."""
+    """Obstacles bool [*B, H, W] as WALL bits with a border of UNSEEN, int8 [*B, H + 2k, W + 2k]."""
     return torch.nn.functional.pad(obstacles.to(torch.int8), (radius,) * 4, value=UNSEEN)
 
 
 def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool = False) -> Tensor:
-    """What stands in the square around each robot; the own cell is OPEN.
+    """Contents of the square around each robot; the own cell is OPEN.
 
     Args:
         walls: ``bordered`` obstacles, int8 [*B, H + 2k, W + 2k].
@@ -59,20 +59,20 @@ def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool =
 
 
 def beside(view: Tensor) -> Tensor:
-    """The cells that the eight moves lead to, and the own cell, [*B, N, 9] of ``surroundings``."""
+    """The targets of the eight moves, and the own cell, [*B, N, 9], from ``surroundings``."""
     return view.flatten(-2).index_select(-1, _places(view.shape[-1] // 2, view.device))
 
 
 @lru_cache
 def _places(radius: int, device: torch.device) -> Tensor:
-    """Where the eight moves and staying lead to in a flattened square, int64 [9]."""
+    """Targets of the eight moves and of staying in a flattened square, int64 [9]."""
     side = 2 * radius + 1
     cells = [(radius + r) * side + radius + c for r, c in (*COMPASS, (0, 0))]
     return torch.tensor(cells, device=device)
 
 
 def field_of_view(view: Tensor) -> Tensor:
-    """What each robot's sensor reads: obstacles, other robots and what is unseen are 1.
+    """Each robot's field of view: obstacles, other robots and unseen cells are 1.
 
     Args:
         view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
@@ -84,14 +84,14 @@ def field_of_view(view: Tensor) -> Tensor:
 
 
 class Sensed(NamedTuple):
-    """Maps after sensing, and what was new."""
+    """Maps after sensing, and the new cells."""
 
     map: Tensor
     """int8 [*B, N, H, W], a new tensor."""
     cell: Tensor
     """Seen cells of the flattened arena, int64 [*B, N, (2k + 1)^2]."""
     fresh: Tensor
-    """Whether such a cell was unknown, bool."""
+    """Whether each of these cells was unknown, bool."""
 
     @property
     def discovered(self) -> Tensor:
@@ -105,15 +105,15 @@ class Sensed(NamedTuple):
 
 
 def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False) -> Sensed:
-    """Maps with what each robot sees around it written in.
+    """Maps after each robot has sensed the cells around it.
 
     Args:
-        grid: maps that know the robots' own cells, int8 [*B, N, H, W].
+        grid: maps in which the robots' own cells are known, int8 [*B, N, H, W].
         view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
         position: int64 [*B, N, 2].
         occlusion: whether cells on the grid may be hidden.
     """
-    # what cannot be seen is written as the own cell once more, which is known and no wall
+    # cells that cannot be seen are replaced by the own cell, which is known and not a wall
     height, width = grid.shape[-2:]
     own = flat_cell(position, width)
     cells = squares(height, width, view.shape[-1] // 2, view.device)
@@ -135,12 +135,12 @@ def unknown_around(grid: Tensor, radius: int) -> Tensor:
 
 
 def step_gains(grid: Tensor, position: Tensor, radius: int) -> Tensor:
-    """Cells a robot would see for the first time after each move.
+    """Number of cells that a robot would see for the first time after each move.
 
     Args:
         grid: maps, int8 [*B, H, W].
         position: int64 [*B, 2].
-        radius: of the square it sees (cells).
+        radius: of the square that it sees (cells).
 
     Returns:
         float32 [*B, 8]; 0 where the move is known to be blocked.
@@ -163,7 +163,7 @@ def step_gains(grid: Tensor, position: Tensor, radius: int) -> Tensor:
 
 
 def cells_in_view(radius: int) -> int:
-    """Cells that a robot sees at once, its own included."""
+    """Number of cells in a robot's field of view, including its own."""
     return (2 * radius + 1) ** 2
 
 

@@ -1,4 +1,4 @@
-"""The state of a batch of arenas, how an episode starts, and what one step does to it."""
+"""The state of a batch of arenas: how an episode starts, and what one step does."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from marl_explore.core.sensing import bordered, sense, surroundings
 
 
 class WorldState(NamedTuple):
-    """Everything an episode's future depends on; the first dimensions are arenas."""
+    """Everything that an episode's future depends on; the first dimensions are arenas."""
 
     obstacles: Tensor
     """Static obstacles, bool [*B, H, W]."""
     walls: Tensor
     """``sensing.bordered`` obstacles, int8 [*B, H + 2k, W + 2k]."""
     target: Tensor
-    """Cells to be mapped, bool [*B, H, W]; follows from obstacles and positions."""
+    """Target cells, bool [*B, H, W]; follows from obstacles and positions."""
     map: Tensor
     """Each robot's occupancy map, int8 [*B, N, H, W]."""
     position: Tensor
@@ -70,7 +70,7 @@ def start(config: ArenaConfig, obstacles: Tensor, position: Tensor) -> WorldStat
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
     sensed = sense(blank_maps(position, height, width), view, position, config.occlusion)
-    discovered = sensed.discovered + 1  # and the own cell
+    discovered = sensed.discovered + 1  # plus the own cell
     others = other_robots(robots, position.device)
     return resume(
         config,
@@ -92,7 +92,7 @@ def resume(
     steps_since_merge: Tensor,
     step_count: Tensor,
 ) -> WorldState:
-    """State of an episode under way, from all that does not follow from something else."""
+    """State of an episode in progress, from the entries that cannot be derived."""
     walls = bordered(obstacles, config.fov_radius)
     view = surroundings(walls, position, config.fov_radius, config.occlusion)
     linked = links(config, position, obstacles)
@@ -175,11 +175,11 @@ class _Exchanged(NamedTuple):
     received: Tensor
     """Cells new to each map, int64 [*B, N]."""
     received_targets: Tensor
-    """Those to be mapped among them, int64 [*B, N]."""
+    """Target cells among them, int64 [*B, N]."""
 
 
 def _exchange(grid: Tensor, state: WorldState, linked: Tensor, action: Tensor) -> _Exchanged:
-    """Merge the maps [*B, N, H, W] of robots that communicate, in place; what that brought."""
+    """Merge the maps [*B, N, H, W] of robots that communicate, in place; returns the gains."""
     robots, *size = grid.shape[-3:]
     communicating = (action == COMMUNICATE).reshape(-1, robots)
     result = _Exchanged(
@@ -206,10 +206,10 @@ def _exchange(grid: Tensor, state: WorldState, linked: Tensor, action: Tensor) -
 
 
 def _arenas_to_merge(communicating: Tensor) -> Tensor:
-    """Indices of the arenas to look at, int64 [R], of who communicates, bool [B, N].
+    """Indices of the arenas in which to merge maps, int64 [R]; ``communicating`` is bool [B, N].
 
-    On the CPU those where several robots do, in most steps few. Elsewhere all: to ask which would
-    halt the device for longer than the work takes.
+    On the CPU these are the arenas where several robots communicate, usually few. On other devices
+    they are all arenas: selecting some would synchronise the device, which takes longer.
     """
     if communicating.device.type == "cpu":
         return (communicating.sum(-1) > 1).nonzero().squeeze(-1)
@@ -217,7 +217,7 @@ def _arenas_to_merge(communicating: Tensor) -> Tensor:
 
 
 def check_starts(obstacles: Tensor, position: Tensor) -> None:
-    """Refuse start cells that are out of bounds, occupied or shared.
+    """Raise an error for start cells that are out of bounds, occupied or shared.
 
     Args:
         obstacles: bool [B, H, W].
@@ -243,7 +243,7 @@ def _refuse(wrong: Tensor, position: Tensor, reason: str) -> None:
 
 
 def check_maps(obstacles: Tensor, position: Tensor, grid: Tensor) -> None:
-    """Refuse maps of an episode under way that its arena cannot have given.
+    """Raise an error for maps of an episode in progress that do not fit its arena.
 
     Args:
         obstacles: bool [B, H, W].
@@ -256,7 +256,10 @@ def check_maps(obstacles: Tensor, position: Tensor, grid: Tensor) -> None:
     wrong = (grid != UNKNOWN) & (grid != obstacles.unsqueeze(-3))
     own = with_robots(torch.zeros_like(grid, dtype=torch.bool), position.unsqueeze(-2))
     blind = own & (grid == UNKNOWN)
-    for cells, reason in ((wrong, "contradicts the obstacles"), (blind, "holds it, unknown")):
+    for cells, reason in (
+        (wrong, "contradicts the obstacles"),
+        (blind, "holds the robot but is unknown"),
+    ):
         if cells.any():
             arena, robot, row, column = cells.nonzero()[0].tolist()
             raise ValueError(
@@ -266,5 +269,5 @@ def check_maps(obstacles: Tensor, position: Tensor, grid: Tensor) -> None:
 
 
 def num_targets(target: Tensor) -> Tensor:
-    """Number of cells to be mapped, int64 [*B], of a mask bool [*B, H, W]."""
+    """Number of target cells, int64 [*B], of a mask bool [*B, H, W]."""
     return target.flatten(-2).sum(-1)

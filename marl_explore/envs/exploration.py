@@ -36,20 +36,20 @@ class ExplorationEnv(EnvBase):
     """Robots that map unknown arenas together; docs/environment.md describes rules and entries.
 
     Args:
-        config: the arena, its robots and their sensors; None: those that ``arenas`` brings, or
-            the paper's.
+        config: the arena, its robots and their sensors; None: the default of ``arenas``, or the
+            paper's.
         num_envs: arenas B stepped at once; the batch size is [B].
-        reward: "case1", "case2", "case2-literal", "team", "progress", or a callable on the step
-            record.
+        reward: "case1", "case2", "case2-literal", "team", "progress", or a callable that takes a
+            ``StepRecord``.
         max_steps: episode length after which an arena is truncated (steps).
-        terminate_at_coverage: share of the target cells in (0, 1] that ends an episode once the
-            largest map covers it; None: never.
+        terminate_at_coverage: coverage of the largest map, in (0, 1], that ends an episode; None:
+            never.
         arenas: a suite's name, or a callable (seed, arena indices, episodes) -> (obstacles,
             positions).
-        seed: with ``stream``, arena index and episode number it determines every arena.
+        seed: together with ``stream``, arena index and episode number, it determines every arena.
         stream: name of an independent family of arenas, such as "train" or "test".
         first_arena: index of the first arena; workers with disjoint ranges share one numbering.
-        device: where the arenas live.
+        device: of all tensors.
 
     Raises:
         ValueError: naming argument, value and what is allowed, for arguments out of range.
@@ -76,7 +76,7 @@ class ExplorationEnv(EnvBase):
         require_integer("first_arena", first_arena, 0)
         require_integer("seed", seed, 0)
         if not isinstance(stream, str):
-            raise ValueError(f"stream={stream!r} is not allowed: it must be a name")
+            raise ValueError(f"stream={stream!r} is not allowed: it must be a string")
         require_coverage("terminate_at_coverage", terminate_at_coverage)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
@@ -110,7 +110,7 @@ class ExplorationEnv(EnvBase):
     # ------------------------------------------------------------------ reset
 
     def _set_seed(self, seed: int | None) -> None:
-        """Start the numbering of episodes again under another seed."""
+        """Restart the numbering of episodes with another seed."""
         if seed is not None:
             self._restored = False
             self._seed = seed
@@ -128,7 +128,7 @@ class ExplorationEnv(EnvBase):
             rows = self._rows(flagged)
             if len(rows):
                 self._replace_rows(rows, EpisodeState.at_rest(self._draw(rows), first=True))
-        self._restored = False  # else: the state that was loaded is the one to go on from
+        self._restored = False  # else: continue from the loaded state
         never = torch.zeros_like(self._now.world.step_count, dtype=torch.bool)
         return self._observe(done=never, terminated=never.clone(), truncated=never.clone())
 
@@ -139,14 +139,14 @@ class ExplorationEnv(EnvBase):
         return flagged.flatten().nonzero().squeeze(-1)
 
     def _draw(self, rows: Tensor) -> WorldState:
-        """The next episode's arenas of some rows."""
+        """The arenas of the next episode for some rows."""
         self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
         seed = stream_seed(self.stream, self._seed)
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
         return world.start(self.config, obstacles, position)
 
     def _given_state(self, tensordict: TensorDictBase | None) -> EpisodeState:
-        """The state in a TensorDict: given starts, or all of an episode under way."""
+        """The state in a TensorDict: given starts, or all of an episode in progress."""
         entries = {} if tensordict is None else self._state_entries(tensordict)
         missing = [key for key in _WORLD_KEYS if key not in entries]
         if any(key in missing for key in _START_KEYS) or (
@@ -154,7 +154,7 @@ class ExplorationEnv(EnvBase):
         ):
             raise ValueError(
                 f"reset(set_state=True) needs {_START_KEYS} to start an episode, or all of "
-                f"{tuple(_WORLD_KEYS)} to go on with one; missing: {missing}"
+                f"{tuple(_WORLD_KEYS)} to continue one; missing: {missing}"
             )
         self._check_entries(entries)
         obstacles, position = (entries[key] for key in _START_KEYS)
@@ -173,12 +173,12 @@ class ExplorationEnv(EnvBase):
         return {key: value for key, value in found.items() if value is not None}
 
     def _check_entries(self, entries: Mapping[NestedKey, Tensor]) -> None:
-        """Given entries must have their spec's dtype and shape."""
+        """Check that given entries have their spec's dtype and shape."""
         for key, value in entries.items():
             _require_like("reset(set_state=True)", key, value, self.full_state_spec[key])
 
     def _replace_rows(self, rows: Tensor, fresh: EpisodeState) -> None:
-        """Write fresh arenas into the state, leaving tensors that were handed out untouched."""
+        """Write new arenas into the state, without changing tensors that were returned earlier."""
         if self._state is None or len(rows) == self.num_envs:
             self._state = fresh
         else:
@@ -209,7 +209,7 @@ class ExplorationEnv(EnvBase):
         )
 
     def _covered(self, state: WorldState, record: rewards.StepRecord) -> Tensor:
-        """Arenas whose largest map covers the share that ends an episode, bool [B]."""
+        """Arenas whose largest map has the coverage that ends an episode, bool [B]."""
         if self.terminate_at_coverage is None:
             return torch.zeros(self.batch_size, dtype=torch.bool, device=self.device)
         if self.terminate_at_coverage == 1:
@@ -219,7 +219,7 @@ class ExplorationEnv(EnvBase):
         return largest >= mapping.cells_of_share(self.terminate_at_coverage, targets)
 
     def _observe(self, **root: Tensor) -> TensorDict:
-        """All observation entries and further ones of the root, in one nested TensorDict."""
+        """All observation entries, with further root entries, in one nested TensorDict."""
         (state, last), config = self._now, self.config
         fov = sensing.field_of_view(state.view)
         group = (*self.batch_size, config.num_agents)
@@ -249,7 +249,7 @@ class ExplorationEnv(EnvBase):
         )
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
-        """Uniform random actions among the allowed ones (of the current state without input)."""
+        """Uniform random allowed actions (of the current state, without an input)."""
         if tensordict is None:
             if self._state is None:
                 return super().rand_action(None)
@@ -262,12 +262,12 @@ class ExplorationEnv(EnvBase):
     # ------------------------------------------------------------ state, device
 
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
-        """Everything the future of the environment depends on, as tensors and integers."""
+        """Everything that the future of the environment depends on, as tensors and integers."""
         state: dict[str, Any] = {"seed": self._seed, "episode": self._episode}
         return state if self._state is None else state | self._state.tensors()
 
     def load_state_dict(self, state_dict: dict[str, Any], *_: Any, **__: Any) -> None:
-        """Go on from a ``state_dict``: the next full reset returns its observation.
+        """Restore a ``state_dict``: the next full reset returns its observation.
 
         Raises:
             ValueError: when the entries are not those of this environment.
@@ -289,7 +289,7 @@ class ExplorationEnv(EnvBase):
             )
         state = None
         if started:
-            # everything that follows from something else must fit what would be made here
+            # derived tensors must match those of this configuration
             for name, like in self._blank().tensors().items():
                 _require_like("state_dict", name, state_dict[name], like)
             state = EpisodeState.from_tensors(state_dict).apply(lambda x: x.to(self.device))
@@ -298,13 +298,13 @@ class ExplorationEnv(EnvBase):
         self._state, self._restored = state, started
 
     def _blank(self) -> EpisodeState:
-        """A state of empty arenas, for its dtypes and shapes."""
+        """A state with empty arenas, for its dtypes and shapes."""
         entries = self.full_state_spec.zero()
         blank = world.start(self.config, entries["obstacles"], entries["agents", "position"])
         return EpisodeState.at_rest(blank, first=True)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ExplorationEnv:
-        """Move the state along when the environment moves to another device."""
+        """Move the state when the environment moves to another device."""
         self._episode = fn(self._episode)
         if self._state is not None:
             self._state = self._state.apply(fn)

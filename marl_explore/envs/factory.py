@@ -33,14 +33,14 @@ def make_env(
 ) -> TransformedEnv:
     """An ``ExplorationEnv`` with transforms that compute further parts of the observation.
 
-    The state of an episode is in ``make_env(...).base_env.state_dict()``.
+    The state of the episodes is ``make_env(...).base_env.state_dict()``.
 
     Args:
         config, num_envs, reward, max_steps, terminate_at_coverage, arenas, seed, stream,
         first_arena, device: as for ``ExplorationEnv``.
         fpr: normalisation of the frontier table: "relative", "proximity", "absolute" or None.
-        backend: what computes the frontier table: "auto", "torch" or "native".
-        features: parts of the observation that are computed (``transforms.features.FEATURES``).
+        backend: of the frontier table: "auto", "torch" or "native".
+        features: parts of the observation to compute (``transforms.features.FEATURES``).
     """
     env = ExplorationEnv(
         config,

@@ -1,4 +1,4 @@
-"""Names, shapes, types and bounds of everything the environment reads and writes."""
+"""Names, shapes, dtypes and bounds of everything that the environment reads and writes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def exploration_specs(
         return Composite(**entries, shape=(*batch_size, robots), device=device)
 
     def world() -> tuple[dict[str, Any], dict[str, Any]]:
-        """The state's entries at the root and of the group, new ones for every spec."""
+        """The state's entries of the root and of the group, newly created for every spec."""
         return {
             "obstacles": flag(*size),
             "step_count": Unbounded(shape=(*batch_size, 1), dtype=torch.int64, device=device),

@@ -1,4 +1,4 @@
-"""Where a batch of episodes is: the worlds, and what the last step did to their robots."""
+"""The state of a batch of episodes: the worlds, and the effects of the last step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from marl_explore.core.world import WorldState
 
 
 class LastStep(NamedTuple):
-    """What the last step did to each robot [B, N]; False or 0 at reset but for ``discovered``."""
+    """Effects of the last step on each robot [B, N]; at reset False or 0, except ``discovered``."""
 
     dangerous: Tensor
     merged: Tensor
@@ -22,14 +22,14 @@ class LastStep(NamedTuple):
 
 
 class EpisodeState(NamedTuple):
-    """Everything an environment's future and its next observation depend on; B arenas."""
+    """Everything that the next observation and the future depend on, for B arenas."""
 
     world: WorldState
     last: LastStep
 
     @classmethod
     def at_rest(cls, world: WorldState, first: bool) -> EpisodeState:
-        """No step was taken yet; at a ``first`` sensing the known cells are discoveries."""
+        """A state before any step; at the ``first`` sensing the known cells are discoveries."""
         nothing = torch.zeros_like(world.known)
         last = LastStep(
             dangerous=nothing.bool(),
@@ -56,11 +56,11 @@ class EpisodeState(NamedTuple):
         return {**self.world._asdict(), **self.last._asdict()}
 
     def apply(self, function: Callable[[Tensor], Tensor]) -> EpisodeState:
-        """The state with every tensor replaced by what ``function`` makes of it."""
+        """The state with ``function`` applied to every tensor."""
         return self.from_tensors({name: function(x) for name, x in self.tensors().items()})
 
     def replace_rows(self, rows: Tensor, fresh: EpisodeState) -> EpisodeState:
-        """Copies of the tensors, the arenas of indices ``rows`` [A] replaced by fresh ones."""
+        """Copies of the tensors, with the arenas at indices ``rows`` [A] replaced by ``fresh``."""
         new = fresh.tensors()
         return self.from_tensors(
             {name: old.index_put((rows,), new[name]) for name, old in self.tensors().items()}

@@ -1,4 +1,4 @@
-"""Policies on arenas they never saw: episodes, measures, statistics, tables, figures, replays.
+"""Evaluation on unseen arenas: episodes, measures, statistics, tables, figures, replays.
 
-It imports policies, planners and environments, and knows nothing of training.
+It imports policies, planners and environments, but nothing from training.
 """

@@ -1,6 +1,6 @@
-"""Measures of exploration episodes: what to record of each step, and what follows from it.
+"""Measures of exploration episodes: what is recorded of each step, and the measures of it.
 
-``docs/metrics.md`` gives every formula. B is the number of episodes, T of steps, N of robots.
+``docs/metrics.md`` has every formula. B is the number of episodes, T of steps, N of robots.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
 from marl_explore.core.mapping import cells_of_share, known_cells, known_mask, known_targets
 
 THRESHOLDS = (0.80, 0.90, 0.95, 0.99, 1.00)
-"""Coverages whose first reaching is reported."""
+"""Coverages for which the first step that reaches them is reported."""
 COVERAGE_STEPS = (20, 50, 150)
-"""Steps at which coverage is reported, beside the last."""
+"""Steps at which coverage is reported, in addition to the last."""
 
 
 class Snapshot(NamedTuple):
-    """What is measured of the maps at one time; a leading or second time axis may be added."""
+    """Counts of the maps at one time; a leading or second time axis may be added."""
 
     known_targets: Tensor
-    """Target cells each robot knows, int64 [B, N]."""
+    """Target cells that each robot knows, int64 [B, N]."""
     union_targets: Tensor
-    """Target cells some robot knows, int64 [B]."""
+    """Target cells that some robot knows, int64 [B]."""
     known_cells: Tensor
     """|M_i|, int64 [B, N]."""
     union_cells: Tensor
-    """Cells some robot knows, int64 [B]."""
+    """Cells that some robot knows, int64 [B]."""
 
 
 def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
-    """Count what maps int8 [B, N, H, W] know of all cells and of target cells bool [B, H, W]."""
+    """Count known cells and known target cells bool [B, H, W] of maps int8 [B, N, H, W]."""
     known = known_mask(grid)
     union = known.amax(-3, keepdim=True)
     return Snapshot(
@@ -45,7 +45,7 @@ def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
 
 
 class Episodes(NamedTuple):
-    """Recorded episodes; step 0 of every entry but ``action`` is the reset."""
+    """Recorded episodes; step 0 of every entry except ``action`` is the reset."""
 
     maps: Snapshot
     """Counts with a time axis after B: [B, T + 1, N] or [B, T + 1]."""
@@ -58,7 +58,7 @@ class Episodes(NamedTuple):
     discovered: Tensor
     """Own discoveries of each step, int64 [B, T + 1, N] (cells)."""
     received: Tensor
-    """What a merge added to each map, int64 [B, T + 1, N] (cells)."""
+    """Cells that a merge added to each map, int64 [B, T + 1, N]."""
     num_targets: Tensor
     """int64 [B]."""
     num_cells: int
@@ -114,7 +114,7 @@ def before_completion(episodes: Episodes) -> Tensor:
 
 
 class Share(NamedTuple):
-    """Events of a kind among events, counted per episode."""
+    """A kind of event as a share of all events, counted per episode."""
 
     part: Tensor
     """int64 [B]."""
@@ -123,12 +123,12 @@ class Share(NamedTuple):
 
     @property
     def each(self) -> Tensor:
-        """The share in every episode, float64 [B]; NaN where nothing happened."""
+        """The share in every episode, float64 [B]; NaN where there were no events."""
         return self.part.double() / self.whole
 
     @property
     def pooled(self) -> float:
-        """The share among the events of all episodes together; NaN if nothing happened."""
+        """The share among the events of all episodes; NaN if there were none."""
         return float(self.part.sum().double() / self.whole.sum())
 
 
@@ -137,14 +137,14 @@ def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Shar
 
     Args:
         episodes: B episodes.
-        steps: bool [B, T], the steps that count; None: all.
+        steps: bool [B, T], the steps to count; None: all.
     """
     communicating = episodes.action == COMMUNICATE
     return _share(communicating, torch.ones_like(communicating), steps)
 
 
 def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Share:
-    """Communicate actions that enlarged the sender's map over all of them, lone ones included."""
+    """Communicate actions that enlarged the sender's map over all, including lone ones."""
     communicating = episodes.action == COMMUNICATE
     return _share(communicating & (episodes.received[:, 1:] > 0), communicating, steps)
 
@@ -155,7 +155,7 @@ def dangerous_share(episodes: Episodes) -> Share:
 
 
 def enlarging_share(episodes: Episodes) -> Share:
-    """Enlargements of at least one cell over all enlargements, the zeros included."""
+    """Enlargements of at least one cell over all enlargements, including those of 0 cells."""
     return _share(episodes.received > 0, episodes.merged)
 
 
@@ -165,20 +165,20 @@ def large_enlargement_share(episodes: Episodes) -> Share:
 
 
 def _share(part: Tensor, whole: Tensor, steps: Tensor | None = None) -> Share:
-    """Events bool [B, T, N] among events, at the steps bool [B, T] that count."""
+    """The share of events bool [B, T, N] at the steps bool [B, T] to count."""
     if steps is not None:
         part, whole = part & steps.unsqueeze(-1), whole & steps.unsqueeze(-1)
     return Share(part.flatten(1).sum(-1), whole.flatten(1).sum(-1))
 
 
 def enlargements(episodes: Episodes) -> Tensor:
-    """Cells each merge added to each member's map, zeros included, int64 [number of them]."""
+    """Cells that each merge added to each member's map, including zeros, int64 [any]."""
     return episodes.received[episodes.merged]
 
 
 def cells_sent(episodes: Episodes) -> Tensor:
     """|M_i| summed over every member of every merge so far, int64 [B, T + 1] (cells)."""
-    own = episodes.maps.known_cells - episodes.received  # what a member knew when it sent
+    own = episodes.maps.known_cells - episodes.received  # known cells when the member sent its map
     return (own * episodes.merged).sum(-1).cumsum(-1)
 
 
@@ -188,7 +188,7 @@ def cells_received(episodes: Episodes) -> Tensor:
 
 
 def distance_travelled(episodes: Episodes) -> Tensor:
-    """Way of all robots, float64 [B] (metres): D per straight and sqrt(2) D per diagonal move."""
+    """Path length of all robots, float64 [B] (metres): D per straight, sqrt(2) D per diagonal."""
     moved = (episodes.action < NUM_DIRECTIONS) & ~episodes.dangerous[:, 1:]
     diagonal = moved & (episodes.action % 2 == 1)
     cells = moved.flatten(1).sum(-1) + (2**0.5 - 1) * diagonal.flatten(1).sum(-1).double()
@@ -242,6 +242,6 @@ def per_episode(episodes: Episodes) -> dict[str, Tensor]:
 
 
 def summarize(episodes: Episodes) -> dict[str, float]:
-    """Every measure by name: the mean over episodes, of shares the pooled one."""
+    """Every measure by name: the mean over episodes, or the pooled share."""
     means = {name: float(score.mean()) for name, score in per_episode(episodes).items()}
     return means | {name: share.pooled for name, share in shares(episodes).items()}

@@ -1,4 +1,4 @@
-"""Measures of policies on test arenas: computed, put in a table, and written to files."""
+"""Measures of policies on test arenas: computed, formatted as a table, and written to files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TABLE_COLUMNS = {
     "useful": "useful_share",
     "overlap": "overlap",
 }
-"""Columns of the printed table; files hold every measure."""
+"""Columns of the printed table; the files hold every measure."""
 
 
 def format_table(results: dict[str, dict[str, float]]) -> str:
@@ -61,7 +61,7 @@ def write_results(
         folder: where.
         results: by policy and measure.
         record: about the run, kept in results.json.
-        scores: by policy and measure the numbers of every arena [B], kept in results.json.
+        scores: by policy and measure, the numbers of every arena [B], kept in results.json.
     """
     measures = {n: {k: v if v == v else None for k, v in r.items()} for n, r in results.items()}
     content: dict[str, Any] = {"results": measures, "run": record}

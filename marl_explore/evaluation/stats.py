@@ -1,9 +1,9 @@
 """Statistics of scores: interquartile mean, bootstrap intervals, comparisons of two policies.
 
 Scores are arrays [S, A] of S training seeds on A arenas, or [A] of one seed. ``docs/metrics.md``
-gives every formula. The definitions are those of Agarwal et al., "Deep Reinforcement Learning at
-the Edge of the Statistical Precipice" (2021) and of their library rliable; what the bootstrap
-draws by default is not (see ``Resample``).
+has every formula. The definitions are those of Agarwal et al., "Deep Reinforcement Learning at
+the Edge of the Statistical Precipice" (2021) and of their library rliable, except for what the
+bootstrap resamples by default (see ``Resample``).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from scipy.stats import trim_mean
 Array = NDArray[np.float64]
 
 Resample = Literal["crossed", "stratified"]
-"""What a bootstrap draws with replacement.
+"""What a bootstrap resamples with replacement.
 
-"crossed": seeds as whole rows, and arenas as whole columns. It answers for other seeds and other
-arenas, and takes into account that all scores of one seed share its luck. One seed says nothing of
-others: then the interval is over arenas alone.
+"crossed": seeds as whole rows, and arenas as whole columns. The interval is for other seeds and
+other arenas, and takes into account that all scores of a seed are correlated. With one seed it is
+over arenas alone.
 
-"stratified", the default of rliable: within every arena seeds anew, independently of the other
-arenas. It answers for the same arenas, and holds when a policy was trained for each of them.
+"stratified", the default of rliable: seeds within every arena, independently of the other arenas.
+The interval is for the same arenas, and is valid when a policy was trained for each of them.
 """
 
 CONFIDENCE = 0.95
@@ -41,7 +41,7 @@ class Estimate(NamedTuple):
 
 
 class Band(NamedTuple):
-    """A curve [X] between two others."""
+    """A curve [X] with a lower and an upper one."""
 
     value: Array
     low: Array
@@ -49,7 +49,7 @@ class Band(NamedTuple):
 
 
 def interquartile_mean(scores: ArrayLike) -> float:
-    """Mean of the middle half of all scores: floor(n / 4) of n are left out at either end."""
+    """Mean of the middle half of all scores: floor(n / 4) of n are dropped at either end."""
     return float(trim_mean(np.asarray(scores, np.float64), 0.25, axis=None))
 
 
@@ -65,13 +65,13 @@ def interval(
     Args:
         scores: [S, A] or [A].
         statistic: of an array [S, A].
-        resample: what is drawn; "stratified" takes two seeds or more.
+        resample: what is resampled; "stratified" needs at least two seeds.
         seed: of the draws.
         resamples: number of draws.
 
     Raises:
-        ValueError: for scores of another shape, without entries or not finite, and for an unknown
-            ``resample`` or one that the scores do not allow.
+        ValueError: for scores with another shape, without entries or not finite, and for a
+            ``resample`` that is unknown or that the scores do not allow.
     """
     return _estimate(statistic, [_matrix("scores", scores)], resample, seed, resamples)
 
@@ -81,8 +81,8 @@ def paired_difference(
 ) -> Estimate:
     """Mean score of ``a`` minus that of ``b`` on the same arenas, with its bootstrap interval.
 
-    Arenas are drawn for both together, so that what makes an arena hard for both cancels; seeds
-    for each apart.
+    Arenas are resampled for both together, so that an arena's difficulty for both cancels; seeds
+    are resampled separately.
 
     Args:
         a: [S, A] or [A].
@@ -106,13 +106,13 @@ def probability_of_improvement(
 ) -> Estimate:
     """Probability that ``x`` scores more than ``y`` on an arena, ties counted one half.
 
-    The mean over arenas of the Mann-Whitney statistic over pairs of seeds, divided by their
-    number. Where less is better, such as with steps, pass the two in the other order.
+    It is the mean over arenas of the Mann-Whitney statistic over pairs of seeds, divided by the
+    number of pairs. Where less is better, as with steps, swap the arguments.
 
     Args:
         x: [S, A] or [A].
         y: [S', A] or [A]; column j is the arena of column j of ``x``.
-        resample: what is drawn, for x and y independently but for whole arenas.
+        resample: what is resampled, independently for x and y except for whole arenas.
         seed: of the draws.
         resamples: number of draws.
 
@@ -126,8 +126,8 @@ def seed_mean(scores: ArrayLike) -> Estimate:
     """The mean over training seeds with its bootstrap interval; NaN bounds for one seed.
 
     Args:
-        scores: [S], of each seed the mean over its arenas: the interval answers for other seeds on
-            the same arenas.
+        scores: [S], for each seed the mean over its arenas; the interval is for other seeds on the
+            same arenas.
 
     Raises:
         ValueError: for scores of another shape, without entries or not finite.
@@ -139,11 +139,11 @@ def seed_mean(scores: ArrayLike) -> Estimate:
 def seed_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     """Mean of ``a`` minus that of ``b`` with its bootstrap interval; NaN bounds for one seed.
 
-    Seeds of both are drawn independently of each other: under other settings the same seed is
-    another run, so nothing pairs them.
+    Seeds of both are resampled independently: under other settings the same seed is another run,
+    so they are not paired.
 
     Args:
-        a: [S], of each seed the mean over its arenas.
+        a: [S], for each seed the mean over its arenas.
         b: [S'], on the same arenas.
 
     Raises:
@@ -168,7 +168,7 @@ def curve_interval(curves: ArrayLike, seed: int = 0, resamples: int = RESAMPLES)
 
 
 def middle_half(curves: ArrayLike) -> Band:
-    """The mean of curves [B, X], between their quartiles at every point."""
+    """The mean of curves [B, X], with their quartiles at every point."""
     values = _matrix("curves", curves)
     return Band(values.mean(0), *np.quantile(values, (0.25, 0.75), axis=0))
 
@@ -183,11 +183,11 @@ def _estimate(
     seed: int,
     resamples: int,
 ) -> Estimate:
-    """A statistic of arrays over the same arenas, and the quantiles of it over draws of them."""
+    """A statistic of arrays over the same arenas, and its quantiles over bootstrap draws."""
     if resample not in get_args(Resample):
         raise ValueError(f"resample={resample!r} is not allowed: use one of {get_args(Resample)}")
     if resample == "stratified" and min(map(len, samples)) < 2:
-        raise ValueError("resample='stratified' is not allowed: it takes at least 2 seeds")
+        raise ValueError("resample='stratified' is not allowed: it needs at least 2 seeds")
     generator = np.random.default_rng(seed)
     arenas = samples[0].shape[1]
     draws = np.empty(resamples)
@@ -205,8 +205,8 @@ def _estimate(
 
 
 def _over_seeds(value: float, samples: list[Array], combine: Callable[..., Array]) -> Estimate:
-    """A value, and the quantiles of what the means of draws of each sample [S] come to."""
-    if min(map(len, samples)) < 2:  # one seed says nothing of others
+    """A value, and the quantiles of ``combine`` over bootstrap means of each sample [S]."""
+    if min(map(len, samples)) < 2:  # one seed gives no interval
         return Estimate(value, np.nan, np.nan)
     generator = np.random.default_rng(0)
     means = (generator.choice(s, (RESAMPLES, len(s))).mean(1) for s in samples)

@@ -1,4 +1,4 @@
-"""HAPPO for any TorchRL environment: the loss, and what its factor shows.
+"""HAPPO for any TorchRL environment: the loss, and diagnostics of its factor.
 
-It imports nothing of the package but ``utils``; other projects import ``marl_explore.HAPPOLoss``.
+It imports only ``utils`` from the package; other projects import ``marl_explore.HAPPOLoss``.
 """

@@ -1,4 +1,4 @@
-"""What HAPPO's factor M shows of an update: statistics, and when to worry."""
+"""Diagnostics of HAPPO's factor M: statistics, and a warning."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import logging
 from torch import Tensor
 
 ESS_WARNING = 0.5
-"""Effective share of the samples below which a run is warned."""
+"""Effective sample size, as a share of the batch, below which a warning is logged."""
 
 logger = logging.getLogger(__name__)
 
 
 def factor_statistics(factor: Tensor) -> dict[str, float]:
-    """Mean and extremes of the factor [*B, 1], and its effective sample size per sample.
+    """Mean, minimum and maximum of the factor [*B, 1], and its relative effective sample size.
 
-    The effective sample size (Kish) is (sum M)^2 / sum M^2; over the number of samples it is 1
-    where all weigh the same and 1 / samples where one outweighs all others.
+    The effective sample size (Kish) is (sum M)^2 / sum M^2. Divided by the number of samples it is
+    1 if all have the same weight, and 1 / samples if one outweighs all others.
     """
     return {
         "factor_mean": float(factor.mean()),
@@ -27,20 +27,20 @@ def factor_statistics(factor: Tensor) -> dict[str, float]:
 
 
 class FactorWatch:
-    """Warns of a factor that leaves few effective samples, the first time it does."""
+    """Warns, once, when few samples are effective."""
 
     def __init__(self) -> None:
         self._warned = False
 
     def __call__(self, share: float, update: int) -> None:
-        """Look at the effective share of the samples (``factor_ess``) in an update."""
+        """Check an update's relative effective sample size (``factor_ess``)."""
         if share >= ESS_WARNING or self._warned:
             return
         self._warned = True
         logger.warning(
             "update %d: HAPPO's factor leaves an effective sample size of %.0f %% of the batch, "
             "less than %.0f %%: actors late in the order learn from few samples. Smaller steps, "
-            "fewer passes or a narrower clipping range help (said once per run)",
+            "fewer passes or a narrower clipping range help (logged only once)",
             update,
             100 * share,
             100 * ESS_WARNING,

@@ -5,8 +5,8 @@ actor i's new to its old policy, actor ``i`` of a random order maximises
 
     E[ min(r_i M A, clip(r_i, 1 - eps, 1 + eps) M A) ],   M = product of r_j over j before i,
 
-and since M > 0 this is the objective of clipped PPO with the advantage M A. So every actor gets a
-stock ``ClipPPOLoss``, and the factor M travels in the TensorDict from one update to the next.
+and since M > 0 this is the objective of clipped PPO with the advantage M A. So every actor has a
+stock ``ClipPPOLoss``, and the TensorDict carries the factor M from one update to the next.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ class HAPPOLoss(LossModule):
         critic: module that writes ``value`` from the joint observation or the state; None for
             actors alone.
         views: per actor the (group, index) it reads: its slice of a stacked group [*B, N, ...].
-            An actor without a view reads its own group. Groups may differ in action space. Where
-            an actor is shared by k agents [*B, k, ...], each agent's ratio is clipped on its own,
-            as in MAPPO, and M takes up their product.
+            An actor without a view reads its own group. Groups may differ in action space. If k
+            agents share an actor, [*B, k, ...], each agent's ratio is clipped on its own, as in
+            MAPPO, and M is multiplied by their product.
         clip_epsilon: half width of the clipping range of the ratio.
         entropy_coeff: weight of the entropy bonus, not weighted by M.
-        value_norm: running statistics in whose units the critic predicts; None: reward units.
+        value_norm: running statistics that define the critic's units; None: reward units.
         **actor_options: further options of ``ClipPPOLoss``.
 
     Raises:
-        ValueError: without actors, for a view that fits no actor, or for shared parameters.
+        ValueError: without actors, for a view that does not fit, or for shared parameters.
     """
 
     @dataclass
@@ -133,7 +133,7 @@ class HAPPOLoss(LossModule):
 
     @property
     def out_keys(self) -> list[str]:
-        """Losses that ``forward`` returns, beside diagnostics."""
+        """Losses that ``forward`` returns, without diagnostics."""
         losses = [
             f"{part}_{name}"
             for name in self.names
@@ -145,9 +145,9 @@ class HAPPOLoss(LossModule):
     # ------------------------------------------------------------------ losses
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """All losses at the factor found in the TensorDict.
+        """All losses, with the factor in the TensorDict.
 
-        Without an advantage in it, ``estimate_advantage`` runs first.
+        If it has no advantage, ``estimate_advantage`` runs first.
 
         Returns:
             Scalars ``loss_objective_<name>``, ``loss_entropy_<name>``, ``loss_critic`` and the
@@ -231,7 +231,7 @@ class HAPPOLoss(LossModule):
         if value_type not in (None, ValueEstimators.GAE):
             raise NotImplementedError(f"HAPPOLoss estimates values with GAE, not {value_type}")
         options = {"gamma": 0.99, "lmbda": 0.95, "average_gae": True, **hyperparams}
-        # not a submodule: it holds the critic a second time, and its settings are no state
+        # not a submodule: it refers to the critic again, and its settings are not state
         self.__dict__["_value_estimator"] = GAE(value_network=self._value_network(), **options)
         self._forward_value_estimator_keys()
         return self
@@ -244,7 +244,7 @@ class HAPPOLoss(LossModule):
         TensorDict. Truncated episodes bootstrap from the value of their last next observation.
 
         Raises:
-            ValueError: for padded trajectories, which the losses would count.
+            ValueError: for padded trajectories, since the losses would include the padding.
         """
         if tensordict.get(("collector", "mask"), None) is not None:
             raise ValueError(
@@ -289,7 +289,7 @@ class HAPPOLoss(LossModule):
         return self.actor_losses[name]
 
     def _own_keys(self, name: str) -> list[NestedKey]:
-        """Entries an actor's loss reads beside the advantage."""
+        """Entries that an actor's loss reads, except the advantage."""
         loss = self._loss_of(name)
         keys = loss.tensor_keys
         produced = {keys.action, keys.sample_log_prob}

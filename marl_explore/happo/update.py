@@ -1,4 +1,4 @@
-"""One sequential update of a team's actors, the step that makes HAPPO of clipped PPO."""
+"""The sequential update of a team's actors, in which HAPPO differs from clipped PPO."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def sequential_update(
 ) -> dict[str, float]:
     """Update every actor in turn, each weighted by the ratios of those before it (Zhong et al.).
 
-    The last actor's ratios are not multiplied in: nobody comes after it.
+    The last actor's ratios are not multiplied in, since no actor comes after it.
 
     Args:
         loss: of the team.
         batch: [M] with the advantage; the factor is written into it.
-        passes: from the batch and the entries that an actor's loss reads to all minibatches of
-            all its epochs.
-        step: minimises the sum of an actor's losses, "loss_objective" and "loss_entropy"; it
-            gets the actor's name and these.
+        passes: returns the minibatches of all epochs, from the batch and the entries that an
+            actor's loss reads.
+        step: takes the actor's name and its losses, "loss_objective" and "loss_entropy", and
+            minimises their sum.
         generator: of the order of actors.
 
     Returns:
-        ``REPORTED`` of the actors' last minibatches, means over actors, and
+        ``REPORTED`` on the last minibatches, means over actors, and
         ``diagnostics.factor_statistics``.
     """
     reports: dict[str, list[float]] = {key: [] for key in REPORTED}

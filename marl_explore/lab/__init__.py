@@ -1,6 +1,7 @@
 """The paper's lab in simulation: robots with wheels and lidars execute grid actions (extra "lab").
 
-Physics and lidar are VMAS's, which is licensed under the GPLv3 and imported when a lab is built.
+Physics and lidar are those of VMAS, which is licensed under the GPLv3 and imported only when a lab
+is created.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is measured of robots in the lab, against the rules of the grid."""
+"""Measures of robots in the lab, compared with the rules of the grid."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from marl_explore.evaluation import metrics
 
 @dataclass(frozen=True)
 class LabRecord:
-    """A arenas over T steps, N robots each, and what happened between the steps."""
+    """A run of A arenas over T steps with N robots each, and what happened between the steps."""
 
     config: ArenaConfig
     obstacles: Tensor
@@ -25,20 +25,20 @@ class LabRecord:
     maps: Tensor
     """Each robot's map, int8 [A, T + 1, N, H, W]."""
     cells: Tensor
-    """Where the robots truly were, int64 [A, T + 1, N, 2]."""
+    """True cells of the robots, int64 [A, T + 1, N, 2]."""
     actions: Tensor
-    """What they chose, int64 [A, T, N]."""
+    """Chosen actions, int64 [A, T, N]."""
     robot_contacts: int
-    """Times that two robots came to touch."""
+    """Number of times that two robots began to touch."""
     obstacle_contacts: int
-    """Times that a robot came to touch an obstacle."""
+    """Number of times that a robot began to touch an obstacle."""
     seconds: float
-    """How long it took the robots."""
+    """Simulated time (seconds)."""
     sent_bytes: dict[str, int]
-    """Bytes sent by kind of message, counted once for every receiver."""
+    """Bytes sent, by kind of message, counted once for every receiver."""
 
     def coverage(self) -> dict[str, Tensor]:
-        """Known share of the target cells, float64 [A, T + 1]: "best" map, and all "merged"."""
+        """Coverage of the "best" map and of all maps "merged", float64 [A, T + 1]."""
         target = target_cells(self.obstacles, self.cells[:, 0])
         moments = metrics.snapshot(self.maps, target.unsqueeze(1))
         whole = target.flatten(1).sum(-1).unsqueeze(-1).double()
@@ -48,18 +48,18 @@ class LabRecord:
         }
 
     def wrong_cells(self) -> int:
-        """Known cells of the last maps that contradict the arena."""
+        """Number of known cells of the last maps that contradict the arena."""
         last = self.maps[:, -1]
         return int(((last != UNKNOWN) & (last != self.obstacles.unsqueeze(1))).sum())
 
     def known_cells(self) -> int:
-        """Known cells of the last maps."""
+        """Number of known cells of the last maps."""
         return int((self.maps[:, -1] != UNKNOWN).sum())
 
     def disagreements(self) -> Tensor:
-        """Where a robot did not end in the cell the rules of the grid send it to, bool [A, T, N].
+        """Where a robot did not end in the cell given by the rules of the grid, bool [A, T, N].
 
-        Each step starts from where the robots truly were.
+        Each step starts from the true cells of the robots.
         """
         config, before = self.config, self.cells[:, :-1]
         walls = bordered(self.obstacles, config.fov_radius).unsqueeze(1)
@@ -72,7 +72,7 @@ class LabRecord:
         return (expected != self.cells[:, 1:]).any(-1)
 
     def summary(self) -> dict[str, float]:
-        """Everything as numbers by name."""
+        """All measures by name."""
         wrong, curves = self.disagreements(), self.coverage()
         moves = self.actions < NUM_DIRECTIONS
         steps = self.actions.shape[1]

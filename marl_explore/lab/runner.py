@@ -1,4 +1,4 @@
-"""Grid actions carried out by ``RobotCore`` in the lab, all arenas side by side."""
+"""Runs ``RobotCore`` in simulated labs, all arenas side by side."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from marl_explore.robot import (
 
 MakePolicy = Callable[[int, int], runtime.Policy]
 """The policy of a robot: (arena, robot) -> (``Observation`` -> action)."""
-_MOST_SECONDS = 300.0  # of one step; robots give up much earlier
+_MOST_SECONDS = 300.0  # limit for one step; robots give up much earlier
 
 
 def exported_policies(policy: Policy, sample: bool = True, seed: int = 0) -> MakePolicy:
-    """A trained policy as robots run it, by numpy.
+    """A trained policy as robots run it, in numpy.
 
     Args:
         policy: the team.
-        sample: whether actions are drawn, or the likeliest are taken.
-        seed: of the drawn actions; every arena and robot has its own.
+        sample: whether actions are sampled; False: the most likely actions.
+        seed: of the sampled actions; every arena and robot has its own.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = export_npz(policy, Path(folder) / "policy.npz")
@@ -59,11 +59,11 @@ class LabRunner:
         noise: of ranges and poses.
         config: sizes and ranges; None: the trained policy's, or the paper's.
         fpr: normalisation of the frontier table; a trained policy brings its own.
-        seed: of noise, first headings and sampled actions.
+        seed: of noise, initial headings and sampled actions.
 
     Raises:
         ValueError: for starts that are occupied or shared, or a layout of another size.
-        ModuleNotFoundError: without VMAS, the extra "lab".
+        ModuleNotFoundError: without VMAS (the extra "lab").
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class LabRunner:
         self.config = config or ArenaConfig()
         self.world = LabWorld(self.config, arenas, noise, seed)
         robots = range(self.config.num_agents)
-        # the lidar turns once per step: its scan may be as old as that
+        # the lidar turns once per step, so a scan may be as old as a step
         settings = RobotSettings(max_scan_age=math.inf)
         self.teams = [
             [
@@ -92,7 +92,7 @@ class LabRunner:
         ]
 
     def run(self, steps: int = 60) -> LabRecord:
-        """Explore for so many steps; to be called once.
+        """Explore for ``steps`` steps; call this only once.
 
         Raises:
             RuntimeError: when a step does not end.
@@ -125,7 +125,7 @@ class LabRunner:
             yield from team
 
     def _each(self, value: Callable[[RobotCore], Any]) -> Tensor:
-        """Something of every robot, [A, N, ...]."""
+        """A value of every robot, [A, N, ...]."""
         rows = [np.stack([value(core) for core in team]) for team in self.teams]
         return torch.from_numpy(np.stack(rows))
 
@@ -143,7 +143,7 @@ class LabRunner:
                 raise RuntimeError(f"arenas {stuck} did not end a step in {_MOST_SECONDS} s")
 
     def _advance(self) -> Tensor:
-        """Let all robots act and hear until nobody says more; velocities float32 [A, N, 2]."""
+        """Advance all robots until there are no more messages; velocities float32 [A, N, 2]."""
         velocities = torch.zeros(len(self.teams), self.config.num_agents, 2)
         for arena, team in enumerate(self.teams):
             quiet = False
@@ -166,7 +166,7 @@ class LabRunner:
                     core.receive(pose, now)
 
     def _scan(self) -> None:
-        """One turn of every lidar, and what the robots decide on it."""
+        """One turn of every lidar, and the robots' decisions."""
         now = self.world.now
         for team, rows in zip(self.teams, self.world.measured_ranges(), strict=True):
             for core, ranges in zip(team, rows, strict=True):

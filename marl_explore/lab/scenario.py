@@ -25,7 +25,7 @@ MAX_RANGE = 3.5
 """Of its lidar (metres)."""
 STEP_SECONDS = 0.1
 _PIXELS = 600  # longer side of a picture
-_AWAY = 100.0  # where boxes are that a layout has fewer of (metres)
+_AWAY = 100.0  # position of boxes that a layout does not need (metres)
 
 
 def centres(cells: Tensor, config: ArenaConfig) -> Tensor:
@@ -47,7 +47,7 @@ class LabScenario(BaseScenario):
         self.config: ArenaConfig = layout["config"]
         self.obstacles, self.positions = layout["obstacles"], layout["positions"]
         self.headings = layout["headings"]
-        # one substep without drag: a drive goes exactly as told
+        # one substep without drag: robots drive exactly as commanded
         world = World(batch_dim, device, dt=STEP_SECONDS, substeps=1, drag=0.0, collision_force=60)
         size = self.config.cell_size
         for number in range(int(self.obstacles.flatten(1).sum(-1).max())):
@@ -59,13 +59,13 @@ class LabScenario(BaseScenario):
         return world
 
     def _show_whole_arena(self) -> None:
-        """Let pictures show the arena from rim to rim."""
+        """Make pictures show the whole arena."""
         height, width = self.config.height, self.config.width
         self.viewer_size = (
             _PIXELS * width // max(height, width),
             _PIXELS * height // max(height, width),
         )
-        # VMAS shows the square of this, in metres, to each side of the middle
+        # VMAS shows the square of this value, in metres, on each side of the middle
         self.viewer_zoom = math.sqrt(min(height, width) * self.config.cell_size / 2)
 
     @staticmethod
@@ -93,8 +93,8 @@ class LabScenario(BaseScenario):
                 robot.set_rot(self.headings[row, number].reshape(1), batch_index=row)
 
     def extra_render(self, env_index: int = 0) -> list[Geom]:
-        """A line from the middle of each robot to where it heads, drawn before the robots."""
-        from vmas.simulator.rendering import Line  # it opens a display's library
+        """A line from the middle of each robot in its heading, drawn before the robots."""
+        from vmas.simulator.rendering import Line  # the import loads a display library
 
         lines = []
         for robot in self.world.agents:
@@ -107,9 +107,9 @@ class LabScenario(BaseScenario):
         return lines
 
     def observation(self, agent: Agent) -> Tensor:
-        """Where an agent is: x, y (metres) and yaw (radians), [B, 3]."""
+        """Pose of an agent: x, y (metres) and yaw (radians), [B, 3]."""
         return torch.cat((agent.state.pos, agent.state.rot), -1)
 
     def reward(self, agent: Agent) -> Tensor:
-        """None: nothing is learnt here."""
+        """Not used: nothing is learned here."""
         return torch.zeros(self.world.batch_dim)

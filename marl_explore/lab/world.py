@@ -1,4 +1,4 @@
-"""Simulated labs side by side: robots are driven in them, and their sensors are read."""
+"""Simulated labs side by side: drives robots and reads their sensors."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ Floats = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is measured."""
+    """Standard deviations of the measurement noise."""
 
     range_share: float = 0.0
-    """Of a range, as a share of it."""
+    """Of a range, as a fraction of it."""
     position: float = 0.0
-    """Of x and of y (metres)."""
+    """Of x and y (metres)."""
     heading: float = 0.0
     """Of yaw (radians)."""
 
     def __post_init__(self) -> None:
-        """Refuse deviations that are none."""
+        """Check the deviations."""
         units = {"range_share": "of a range", "position": "metres", "heading": "radians"}
         for name, unit in units.items():
             require_not_negative(name, getattr(self, name), unit)
 
 
 class LabWorld:
-    """A arenas with N robots each, by VMAS; time stands still between calls of ``drive``.
+    """A arenas with N robots each, in VMAS; time passes only in ``drive``.
 
     Args:
         config: sizes and ranges.
         arenas: obstacles bool [A, H, W] and start cells int64 [A, N, 2].
         noise: of ranges and poses.
-        seed: of noise and first headings.
+        seed: of noise and initial headings.
 
     Raises:
         ValueError: for starts that are occupied or shared, or a layout of another size.
-        ModuleNotFoundError: without VMAS, the extra "lab".
+        ModuleNotFoundError: without VMAS (the extra "lab").
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class LabWorld:
         self.now = 0.0
         """Seconds."""
         self.contacts: Counter[str] = Counter()
-        """Times that two "robots", or a robot and one of the "obstacles", came to touch."""
+        """How often two "robots", or a robot and one of the "obstacles", began to touch."""
         self._touching: dict[str, NDArray[np.bool_]] = {}
         self._chance = np.random.default_rng(seed)
         self._build()
@@ -96,28 +96,28 @@ class LabWorld:
         )
         self.step_seconds: float = self._vmas.world.dt
 
-    # ------------------------------------------------------------------ the truth
+    # ------------------------------------------------------------------ ground truth
 
     def poses(self) -> Tensor:
         """x, y (metres) and yaw (radians) of all robots, float32 [A, N, 3]."""
         return torch.stack([self._vmas.scenario.observation(a) for a in self._vmas.agents], 1)
 
     def cells(self) -> Tensor:
-        """The cells the robots are in, int64 [A, N, 2]."""
+        """The robots' cells, int64 [A, N, 2]."""
         poses, config = self.poses(), self.config
         row = config.height / 2 - poses[..., 1] / config.cell_size
         column = config.width / 2 + poses[..., 0] / config.cell_size
         return torch.stack((row, column), -1).floor().long()
 
     def render(self, arena: int = 0) -> NDArray[np.uint8]:
-        """A picture of one arena from above, north up, [P, P, 3]; by EGL, without a display."""
+        """A picture of one arena from above, north up, [P, P, 3]; with EGL, without a display."""
         picture: NDArray[np.uint8] = self._vmas.render(mode="rgb_array", env_index=arena)
         return picture
 
-    # ------------------------------------------------------------------ what is measured
+    # ------------------------------------------------------------------ measurements
 
     def measured_poses(self) -> Floats:
-        """``poses`` with their noise, [A, N, 3]."""
+        """``poses`` with noise, [A, N, 3]."""
         deviation = [self.noise.position, self.noise.position, self.noise.heading]
         return self._chance.normal(self.poses().numpy(), deviation)
 
@@ -134,7 +134,7 @@ class LabWorld:
     # ------------------------------------------------------------------ motion
 
     def drive(self, velocities: Tensor) -> None:
-        """Let a step of time pass.
+        """Advance time by one step.
 
         Args:
             velocities: forward (metres per second) and turn (radians per second), [A, N, 2].
@@ -147,7 +147,7 @@ class LabWorld:
         self.count_contacts()
 
     def count_contacts(self) -> None:
-        """Contacts that began in this instant."""
+        """Count the contacts that began in this step."""
         from marl_explore.lab.scenario import ROBOT_RADIUS, centres
 
         place = self.poses()[..., :2]

@@ -1,4 +1,4 @@
-"""Classical policies behind the interface of an actor: TensorDict in, action out, batched.
+"""Classical planners with the interface of an actor: TensorDict in, action out, batched.
 
 Their parameters were tuned on arenas of the stream "validation" (docs/planners.md).
 """
@@ -34,7 +34,7 @@ PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "central": Central,
     "clairvoyant": Clairvoyant,
 }
-"""Planners by name, each made for a configuration; the last two are references."""
+"""Constructors of planners by name, from a configuration; the last two are references."""
 
 __all__ = [
     "HEDAC",

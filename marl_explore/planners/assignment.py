@@ -1,4 +1,4 @@
-"""Frontiers shared out among the robots in range, each robot on its own map (Burgard 2005)."""
+"""Frontier assignment among linked robots, by each robot on its own map (Burgard et al. 2005)."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import CommunicationRule
 
 DETOUR = 4
-"""What the way of another robot is taken to be longer than the straight one, on unknown ground."""
+"""Moves added to another robot's straight distance where the map has no path for it."""
 
 
 class Auction(NamedTuple):
-    """M robots' views of who could go where: N robots, C cells."""
+    """The views of M robots on who could go where: N robots, C cells."""
 
     me: Tensor
     """Which of the robots is deciding, int64 [M]."""
     present: Tensor
-    """Robots in range, oneself included, bool [M, N]."""
+    """Linked robots, including the deciding one, bool [M, N]."""
     frontier: Tensor
-    """Frontiers that one can reach, bool [M, C]."""
+    """Frontiers that the deciding robot can reach, bool [M, C]."""
     distance: Tensor
     """Moves of each robot to each cell, float32 [M, N, C]."""
     width: int
-    """Cells of a row."""
+    """Cells per row."""
 
 
 Assignment = Callable[[Auction], Tensor]
@@ -41,11 +41,11 @@ Assignment = Callable[[Auction], Tensor]
 
 @dataclass(frozen=True)
 class UtilityCost:
-    """Who has the best utility less cost goes first; frontiers nearby lose utility for the others.
+    """The best pair by utility minus cost goes first; frontiers near the chosen one lose utility.
 
     Args:
-        cost: price of a move, in utilities of a frontier.
-        reach: distance up to which a chosen frontier makes others less useful (cells).
+        cost: of a move, in units of a frontier's utility.
+        reach: distance up to which a chosen frontier lowers the utility of others (cells).
         by_number: whether robots choose in the order of their numbers instead.
     """
 
@@ -74,7 +74,7 @@ class UtilityCost:
 
 
 def hungarian(auction: Auction) -> Tensor:
-    """Frontiers shared out at the least total distance, one each (Kuhn's Hungarian method)."""
+    """Assigns one frontier each with the smallest total distance (Kuhn's Hungarian method)."""
     target = torch.zeros_like(auction.me)
     for row, (me, present, frontier) in enumerate(
         zip(auction.me.tolist(), auction.present, auction.frontier, strict=True)
@@ -84,18 +84,18 @@ def hungarian(auction: Auction) -> Tensor:
             cost = auction.distance[row][robots][:, cells]
             who, where = linear_sum_assignment(cost.numpy())
             mine = where[robots[who].numpy() == me]
-            # more robots than frontiers: who gets none goes to the nearest
+            # more robots than frontiers: a robot without one goes to the nearest
             own = auction.distance[row, me, cells].argmin() if not len(mine) else mine[0]
             target[row] = cells[int(own)]
     return target
 
 
 class FrontierAssignment(Planner):
-    """Every robot shares out its map's frontiers among the robots in range and walks to its own.
+    """Every robot assigns its map's frontiers to the linked robots and walks to its own.
 
     Args:
         communicate: when a robot communicates.
-        assign: how frontiers are shared out.
+        assign: the assignment of frontiers.
     """
 
     def __init__(self, communicate: CommunicationRule, assign: Assignment) -> None:
@@ -135,11 +135,11 @@ class FrontierAssignment(Planner):
 
 
 def _with_neighbors(grid: Tensor, position: Tensor) -> Tensor:
-    """Maps in which the other robots next to a robot are in its way, int8 [B, N, H, W]."""
+    """Maps in which other robots next to a robot count as obstacles, int8 [B, N, H, W]."""
     width = grid.shape[-1]
     apart = (position.unsqueeze(1) - position.unsqueeze(2)).abs().amax(-1)
     cell = flat_cell(position, width)
-    # a robot farther off stands for the robot itself, which its own cell does not hinder
+    # farther robots are replaced by the robot itself, whose own cell does not block it
     cell = torch.where(apart <= 1, cell.unsqueeze(1), cell.unsqueeze(2))
     return grid.flatten(-2).scatter(-1, cell, OCCUPIED).view(grid.shape)
 

@@ -1,4 +1,4 @@
-"""What planners share: the entries they read, and yielding where a move is not possible."""
+"""The base class of planners: the entries that they read, and the yield rule."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ class Planner(TensorDictModuleBase):
     """Chooses a move by ``plan``, unless its communication rule says to communicate.
 
     A robot whose last move was refused, or whose planned move is not allowed, makes a random
-    allowed move instead: without this yield rule two robots that want to pass block each other.
+    allowed move instead. Without this yield rule two robots that want to pass each other would
+    block each other.
 
     Args:
         communicate: when a robot communicates.
     """
 
-    in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys so
+    in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys like this
         "step_count",
         *(
             ("agents", key)
@@ -42,11 +43,11 @@ class Planner(TensorDictModuleBase):
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
 
     sees: str = "own map, positions of robots in range"
-    """What a robot decides by."""
+    """The information that a robot's decisions use, as text."""
     reference: bool = False
-    """Whether it uses what no robot can know: a yardstick, and no contender."""
+    """Whether it uses information that no robot has: it is for comparison only."""
     shares_maps: bool = False
-    """Whether all maps count as shared at no cost when it is measured."""
+    """Whether it is measured as if all maps were shared at no cost."""
 
     def __init__(self, communicate: CommunicationRule) -> None:
         super().__init__()
@@ -54,7 +55,7 @@ class Planner(TensorDictModuleBase):
 
     @abstractmethod
     def plan(self, tensordict: TensorDictBase) -> Tensor:
-        """The wanted move, STAY or COMMUNICATE of each robot, int64 [*B, N]."""
+        """The wanted action of each robot: a move, STAY or COMMUNICATE, int64 [*B, N]."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""

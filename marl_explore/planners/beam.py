@@ -1,8 +1,9 @@
-"""Joint beam search: what a small team should do next, on a map whose unknown cells count as free.
+"""Joint beam search for a small team, on a map whose unknown cells count as free.
 
 The robots of a plan move in turns. Every turn extends each of the best plans so far by one robot's
-nine ways to go on, values the results and keeps the best. A plan is worth the cells its robots will
-see, the sooner the better, less how far the cells that stay unknown are from the nearest robot.
+nine possible moves, evaluates the results and keeps the best. The value of a plan is the number of
+cells that its robots will see, discounted by time, minus the distances of the remaining unknown
+cells to the nearest robot.
 """
 
 from __future__ import annotations
@@ -22,30 +23,30 @@ _MOVES = NUM_DIRECTIONS + 1  # and STAY
 _HIDDEN = torch.iinfo(torch.int16).max
 """More than any distance."""
 MOST_TARGETS = 128
-"""Unknown cells to which distances are measured; of more, some stand for all."""
+"""Maximum number of unknown cells to which distances are measured; of more, some represent all."""
 LONGEST = _HIDDEN // MOST_TARGETS
-"""What longer distances count as, so that int16 holds their sum."""
+"""Upper limit of distances, so that their sum fits into int16."""
 _FAVOUR = 1e-3
-"""What a move is worth more than to stay; equal plans differ by less."""
+"""Bonus of moving over staying; the bonuses that break ties between plans are smaller."""
 _AT_ONCE = 2**21
-"""Distances that a turn looks at together: what a processor's cache holds."""
+"""Distances that a turn processes together: as many as fit into a processor's cache."""
 
 
 class Plans(NamedTuple):
     """The K best plans of M problems for N robots."""
 
     cell: Tensor
-    """Where each robot is now, int64 [M, K, N]."""
+    """Cell of each robot now, int64 [M, K, N]."""
     before: Tensor
-    """Where it was when the step began, int64 [M, K, N]."""
+    """Cell of each robot at the beginning of the step, int64 [M, K, N]."""
     first: Tensor
-    """Its first move, int64 [M, K, N]."""
+    """First move of each robot, int64 [M, K, N]."""
     unknown: Tensor
     """Cells that are still unknown, int16 [M, K, C], _HIDDEN or 0."""
     code: Tensor
     """Hash of the unknown cells, int64 [M, K]."""
     seen: Tensor
-    """Discounted cells seen so far, float32 [M, K]; -inf where there is no plan."""
+    """Discounted number of cells seen so far, float32 [M, K]; -inf where there is no plan."""
 
     def of(self, parent: Tensor) -> Plans:
         """The plans with the indices int64 [M, K']."""
@@ -58,15 +59,15 @@ class Plans(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What M problems are about."""
+    """The data of M problems."""
 
     tables: GridTables
     occupied: Tensor
     """Known obstacles, bool [M, C]."""
     target: Tensor
-    """The unknown cells that stand for all, then others, int64 [M, U]."""
+    """Unknown cells that represent all, then others as padding, int64 [M, U]."""
     share: Tensor
-    """How many unknown cells one of them stands for, float32 [M]."""
+    """How many unknown cells each of them represents, float32 [M]."""
     distance: Tensor
     """Moves from all cells to those, int16 [M, C, U]."""
 
@@ -83,10 +84,10 @@ class BeamSearch:
     """Settings of the search.
 
     Args:
-        width: plans K that are kept.
-        horizon: steps that are looked ahead.
-        discount: of cells seen a step later.
-        distance_weight: price of an unknown cell's distance to the nearest robot (1 / moves).
+        width: number K of plans that are kept.
+        horizon: number of steps to look ahead.
+        discount: factor per step for cells seen later.
+        distance_weight: cost of an unknown cell's distance to the nearest robot (1 / moves).
     """
 
     width: int = 24
@@ -100,21 +101,21 @@ class BeamSearch:
         """The first move of every robot in the best plan.
 
         Args:
-            unknown: cells worth seeing, bool [M, H, W].
+            unknown: unknown cells worth seeing, bool [M, H, W].
             occupied: cells known to be obstacles, bool [M, H, W].
             position: int64 [M, N, 2].
-            present: robots that take part, bool [M, N].
+            present: participating robots, bool [M, N].
             radius: half side of the field of view (cells).
 
         Returns:
-            Directions or STAY, int64 [M, N]; and whether the plan sees any cell, bool [M].
+            Directions or STAY, int64 [M, N]; and whether the plan sees any unknown cell, bool [M].
         """
         first = torch.full_like(position[..., 0], STAY)
         fruitful = torch.zeros_like(present[:, 0])
         size = present.sum(-1)
         members = torch.argsort(present.long(), dim=-1, descending=True, stable=True)
         left = unknown.flatten(1).sum(-1)
-        order = left.argsort()  # alike problems together: the longest decides for all
+        order = left.argsort()  # group similar problems: the largest of a group determines its cost
         targets = min(MOST_TARGETS, int(left.max()))
         at_once = max(1, _AT_ONCE // (self.width * _MOVES * max(targets, 1)))
         for robots in range(1, present.shape[-1] + 1):
@@ -129,7 +130,7 @@ class BeamSearch:
     def _search(
         self, unknown: Tensor, occupied: Tensor, position: Tensor, radius: int
     ) -> tuple[Tensor, Tensor]:
-        """``first_moves`` of teams of which every robot takes part."""
+        """``first_moves`` of teams in which every robot participates."""
         height, width = unknown.shape[-2:]
         tables = grid_tables(height, width, radius, unknown.device)
         target, share = _targets(unknown.flatten(1))
@@ -152,7 +153,7 @@ class BeamSearch:
         """The best plans after one robot's move, and that move, int64 [M, K]."""
         target = problem.tables.near[plans.cell[..., robot]]
         new, new_code = _new(problem, plans, robot)
-        # cells about to be seen are taken to be one move away
+        # cells about to be seen count as one move away
         remote = _remoteness(problem, plans, robot, target) - new
         seen = plans.seen.unsqueeze(-1) + weight * new
         value = seen - weight * self.distance_weight * remote
@@ -173,7 +174,7 @@ class BeamSearch:
 
 
 def _targets(unknown: Tensor) -> tuple[Tensor, Tensor]:
-    """``Problem.target`` and ``Problem.share``, evenly chosen from unknown cells bool [M, C]."""
+    """``Problem.target`` and ``Problem.share``, chosen evenly from unknown cells bool [M, C]."""
     number = unknown.sum(-1, keepdim=True)
     targets = int(number.max().clamp(1, MOST_TARGETS))
     most = number.clamp_min(targets)
@@ -183,7 +184,7 @@ def _targets(unknown: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _start(unknown: Tensor, cell: Tensor) -> Plans:
-    """The one plan that has not begun, of unknown cells bool [M, C] and positions int64 [M, N]."""
+    """The initial plan, from unknown cells bool [M, C] and positions int64 [M, N]."""
     cell = cell.unsqueeze(1)
     return Plans(
         cell=cell,
@@ -196,7 +197,7 @@ def _start(unknown: Tensor, cell: Tensor) -> Plans:
 
 
 def _new(problem: Problem, plans: Plans, robot: int) -> tuple[Tensor, Tensor]:
-    """Cells that each move of a robot would see first, float32 [M, K, 9], and their hash, int64."""
+    """Number of new cells that each move of a robot sees, float32 [M, K, 9], and their hash."""
     around = problem.tables.around[plans.cell[..., robot]]
     unknown = plans.unknown.gather(-1, around).clamp_max_(1).double()
     code = cell_hashes(0, plans.unknown.shape[-1], around.device)[around]
@@ -205,7 +206,7 @@ def _new(problem: Problem, plans: Plans, robot: int) -> tuple[Tensor, Tensor]:
 
 
 def _open_moves(problem: Problem, plans: Plans, robot: int, target: Tensor) -> Tensor:
-    """Moves that no obstacle and no other robot's move of the plan makes dangerous, [M, K, 9]."""
+    """Moves that are not dangerous, given obstacles and the plan's other moves, [M, K, 9]."""
     own, place = plans.cell[..., robot], problem.tables.place
     occupied = problem.occupied.gather(1, target.flatten(1)).view(target.shape)
     occupied |= ~problem.tables.inside[own]
@@ -225,10 +226,10 @@ def _remoteness(problem: Problem, plans: Plans, robot: int, cell: Tensor) -> Ten
     """Sum over unknown cells of the moves from the nearest robot, float32 [M, K, 9].
 
     Args:
-        problem: what it is about.
-        plans: where the robots are.
-        robot: whose move it is.
-        cell: where it can go, int64 [M, K, 9].
+        problem: the problems.
+        plans: the plans so far.
+        robot: the robot that moves.
+        cell: cells that it can move to, int64 [M, K, 9].
     """
     target = problem.target.unsqueeze(1).expand(-1, plans.unknown.shape[1], -1)
     nearest = plans.unknown.gather(-1, target)
@@ -241,7 +242,7 @@ def _remoteness(problem: Problem, plans: Plans, robot: int, cell: Tensor) -> Ten
 
 
 def _places(plans: Plans, robot: int, target: Tensor) -> Tensor:
-    """Hash of where the robots are after each move and were before the step, int64 [M, K, 9]."""
+    """Hash of the robots' cells after each move and before the step, int64 [M, K, 9]."""
     robots, cells = plans.cell.shape[-1], plans.unknown.shape[-1]
     code = torch.zeros_like(plans.code)
     for other in range(robots):
@@ -252,9 +253,9 @@ def _places(plans: Plans, robot: int, target: Tensor) -> Tensor:
 
 
 def _once(value: Tensor, code: Tensor) -> Tensor:
-    """Values [M, K, 9], flattened, with all but the best of equal hashes at -inf, [M, K 9].
+    """Values [M, K 9], with all but the best of equal hashes set to -inf.
 
-    Hashes that differ may meet in a bucket: few, and a plan that is lost so is hardly missed.
+    Different hashes may share a bucket; this is rare, and the loss of such a plan is harmless.
     """
     value = value.flatten(1)
     buckets = 1 << (16 * value.shape[1]).bit_length()

@@ -1,4 +1,4 @@
-"""When a planner communicates: rules from observations to a bool per robot [*B, N]."""
+"""Communication rules of planners: from observations to a bool per robot [*B, N]."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def others_linked(tensordict: TensorDictBase) -> Tensor:
 
 @dataclass(frozen=True)
 class PairTimer:
-    """Communicate beside a robot in range last merged with ``steps`` ago or more, or never.
+    """Communicate if the last merge with some linked robot was at least ``steps`` ago, or never.
 
-    The rule is symmetric: both robots of a pair come to it without a message.
+    The rule is symmetric: both robots of a pair decide alike without a message.
     """
 
     steps: int
@@ -41,12 +41,12 @@ class PairTimer:
 
 @dataclass(frozen=True)
 class SharedClock:
-    """All robots with another one in range communicate at set times, by a clock they share.
+    """All robots that are linked to another one communicate at set times of a shared clock.
 
     Args:
         start: first of the regular times (steps).
-        period: steps from one to the next.
-        early: further times before them (steps).
+        period: steps between regular times.
+        early: additional earlier times (steps).
     """
 
     start: int
@@ -64,9 +64,9 @@ class SharedClock:
 
 @dataclass(frozen=True)
 class GainThreshold:
-    """Communicate beside a robot in range for which one has that many unshared cells or more.
+    """Communicate if some linked robot lacks at least this many of the robot's own discoveries.
 
-    A robot knows only what it has to give: its partner may not join in.
+    A robot knows only its own unshared cells, so its partner may not communicate at the same time.
     """
 
     cells: int

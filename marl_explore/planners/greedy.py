@@ -1,4 +1,4 @@
-"""Greedy on the feature table: the direction behind which frontiers are nearest on average."""
+"""Greedy planner on the feature table: the direction in which frontiers are nearest on average."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from marl_explore.transforms import FrontierReachability
 
 
 class FPRGreedy(Planner):
-    """Every robot moves in the direction of the lowest mean length in its frontier table."""
+    """Every robot moves in the direction with the smallest mean length in its frontier table."""
 
     sees = "its frontier table (FPR), positions of robots in range"
 

@@ -1,4 +1,4 @@
-"""Tables of a grid that planning looks up: they depend on its size and the field of view alone."""
+"""Lookup tables for planning that depend only on the size of the grid and the field of view."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from marl_explore.core.grid import COMPASS, flat_cell, square_steps, squares
 from marl_explore.core.hashing import combine
 
 _CODES = 2**32
-"""Sums of codes below it are exact in float64 for every field of view."""
+"""Sums of hashes below this are exact in float64 for every field of view."""
 
 
 class GridTables(NamedTuple):
-    """What follows from the size of a grid of C = H W cells; off it the own cell stands in."""
+    """Tables of a grid of C = H W cells; cells outside are replaced by the own cell."""
 
     near: Tensor
-    """Cells of the eight moves and of staying, int64 [C, 9]."""
+    """Target cells of the eight moves and of staying, int64 [C, 9]."""
     inside: Tensor
     """Whether they are on the grid, bool [C, 9]."""
     seen: Tensor
@@ -27,9 +27,9 @@ class GridTables(NamedTuple):
     around: Tensor
     """Cells in view after some move, int64 [C, (2k + 3)^2]."""
     views: Tensor
-    """1 where a move brings such a cell into view, float64 [(2k + 3)^2, 9]."""
+    """1 where a move brings one of these cells into view, float64 [(2k + 3)^2, 9]."""
     place: Tensor
-    """Numbers whose sums tell apart the middles between two cells, int64 [C]."""
+    """Numbers whose sums identify the midpoints between two cells, int64 [C]."""
 
 
 @lru_cache(maxsize=8)

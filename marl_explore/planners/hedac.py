@@ -1,4 +1,4 @@
-"""Exploration by a potential field: robots climb the heat that unknown cells give off.
+"""Exploration with a potential field: robots climb the gradient of heat that unknown cells emit.
 
 After heat equation driven area coverage (Ivić, Crnković and Mezić 2017), on an occupancy grid.
 """
@@ -26,16 +26,16 @@ from marl_explore.planners.communication import CommunicationRule
 
 
 class HEDAC(Planner):
-    """Every robot climbs the heat of its own map, where the others in range are cold spots.
+    """Every robot climbs the heat of its own map, in which other linked robots are cold spots.
 
-    The heat is stationary on the cells not known to be occupied: unknown cells are sources, every
-    cell loses a share, and obstacles and the outside insulate.
+    The heat is the stationary solution on cells not known to be occupied: unknown cells are
+    sources, every cell loses a share, and obstacles and the boundary insulate.
 
     Args:
         communicate: when a robot communicates.
         config: the arena.
-        loss: heat a cell loses, over what it passes to one neighbour.
-        sweeps: Jacobi iterations; None: twice the sides of the arena.
+        loss: heat that a cell loses, relative to what it passes to one neighbour.
+        sweeps: Jacobi iterations; None: twice the sum of the arena's sides.
     """
 
     def __init__(
@@ -50,12 +50,12 @@ class HEDAC(Planner):
         self.sweeps = sweeps or 2 * (config.height + config.width)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
-        """The open move to the hottest cell, or STAY when all is known, int64 [*B, N]."""
+        """The open move to the hottest cell, or STAY if everything is known, int64 [*B, N]."""
         keys = ("map", "position", "linked")
         grid, position, linked = (tensordict.get(("agents", key)) for key in keys)
         heat = self.heat(grid, position, linked).flatten(-2)
         cell = flat_cell(position.unsqueeze(-2) + compass(grid.device), grid.shape[-1])
-        around = heat.gather(-1, cell.clamp(0, heat.shape[-1] - 1))  # off the grid no move is open
+        around = heat.gather(-1, cell.clamp(0, heat.shape[-1] - 1))  # outside, no move is open
         mask = tensordict.get(("agents", "action_mask"))[..., :NUM_DIRECTIONS]
         move = around.masked_fill(~mask, -torch.inf).argmax(-1)
         left = frontier_mask(grid).flatten(-2).any(-1)

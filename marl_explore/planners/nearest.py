@@ -12,7 +12,7 @@ from marl_explore.planners.base import Planner
 
 
 class NearestFrontier(Planner):
-    """Every robot walks to the nearest frontier of its own map, and stays when there is none."""
+    """Every robot walks to the nearest frontier of its own map, or stays if there is none."""
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """First move to the nearest frontier, int64 [*B, N]."""

@@ -1,4 +1,4 @@
-"""Yardsticks: what a team could do with knowledge that no robot has, and what no team can beat."""
+"""References: planners with information that no robot has, and a bound that no team can beat."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from marl_explore.planners.communication import never
 class Central(Planner):
     """One planner for all robots on the union of their maps, shared at no cost.
 
-    Its robots never communicate; evaluation takes the union for the map of each of them.
+    Its robots never communicate; in evaluation the union counts as the map of each of them.
 
     Args:
         config: the arena.
@@ -35,7 +35,7 @@ class Central(Planner):
         self.search = search or BeamSearch()
 
     def obstacles(self, tensordict: TensorDictBase, union: Tensor) -> Tensor:
-        """Cells no plan leads through, bool [*B, H, W]."""
+        """Cells that plans must avoid, bool [*B, H, W]."""
         return union == OCCUPIED
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
@@ -69,7 +69,7 @@ class Clairvoyant(Central):
 
 
 def counting_bound(config: ArenaConfig, start: TensorDictBase) -> Tensor:
-    """Fewest steps to see all target cells if every move of every robot saw the most it can.
+    """Lower bound on the steps to see all target cells: every move sees as many cells as possible.
 
     Args:
         config: the arena.

@@ -1,4 +1,4 @@
-"""Short-horizon joint planning on the own map, with exchanges at times that all robots know."""
+"""Short-horizon joint planning on the own map, with communication at times known to all."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ from marl_explore.planners.communication import CommunicationRule
 from marl_explore.planners.sightings import Sightings
 
 WINDOW = 24
-"""Sides of the part of a large arena that a robot plans on (cells)."""
+"""Side of the window of a large arena in which a robot plans (cells)."""
 
 
 class Rendezvous(Planner):
-    """Robots that plan for all whom they believe near, and meet when nothing is left to see alone.
+    """Robots that plan jointly for all that they saw recently, and meet when nothing else is left.
 
-    A robot counts cells that others in range must have seen as known, searches for the best joint
-    plan of itself and the robots it saw lately, and makes its own first move. Where the plan sees
-    nothing new it walks to the nearest frontier. With only others' cells left it communicates,
-    or walks to whom it saw last; if that takes too long it looks at those cells itself.
+    A robot treats cells that linked robots must have seen as known, searches for the best joint
+    plan for itself and the robots that it saw recently, and makes its own first move. If the plan
+    sees nothing new, it walks to the nearest frontier. When only cells that others have seen are
+    left, it communicates, or walks to where it last saw another robot; if that takes too long, it
+    explores those cells itself.
 
     Args:
         config: the arena.
         communicate: when robots exchange maps.
         search: the joint plan.
-        memory_steps: how long a robot out of range counts as being where it was last.
-        patience_steps: how long a robot with only others' cells left looks for them.
-        answer: whether a robot beside one that waits communicates.
+        memory_steps: how long an unlinked robot is assumed to be where it was last seen.
+        patience_steps: how long a robot with only others' cells left looks for the others.
+        answer: whether a robot communicates next to one that stands still.
     """
 
     sees = "own map, positions of robots in range and where it saw them last, a clock"
@@ -65,7 +66,7 @@ class Rendezvous(Planner):
         self._idle = torch.zeros(0)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
-        """Own part of the joint plan, int64 [*B, N]."""
+        """Each robot's own part of its joint plan, int64 [*B, N]."""
         batch = tensordict.get("step_count").shape[:-1]
         now, grid, position, since, linked = (
             tensordict.get(key).reshape(-1, *tensordict.get(key).shape[len(batch) :])
@@ -141,7 +142,7 @@ class Rendezvous(Planner):
 
 
 def _worth_seeing(grid: Tensor, position: Tensor, rows: Tensor) -> Tensor:
-    """Unknown cells of maps [B, N, H, W] that a robot can come to see, in the rows bool [B, N]."""
+    """Unknown cells of maps [B, N, H, W] that a robot may be able to see, for rows bool [B, N]."""
     unknown = torch.zeros_like(grid, dtype=torch.bool)
     if rows.any():
         target = target_cells(grid[rows] == OCCUPIED, position[rows].unsqueeze(-2))
@@ -150,10 +151,10 @@ def _worth_seeing(grid: Tensor, position: Tensor, rows: Tensor) -> Tensor:
 
 
 def _towards(grid: Tensor, position: Tensor, place: Tensor) -> Tensor:
-    """First moves on maps [M, H, W] to cells as near as can be to places [M, 2], int64 [M]."""
+    """First moves on maps [M, H, W] to the reachable cells nearest to places [M, 2], int64 [M]."""
     direction, length = paths(grid, position)
     apart = straight_distances(place, *grid.shape[-2:])
-    # of the cells that a path leads to, the nearest to that place; then the nearest to oneself
+    # of the reachable cells, the nearest to that place; ties by the nearest to the robot
     order = (apart * length[0].numel() + length).masked_fill(length == 0, torch.inf).flatten(-2)
     cell = order.argmin(-1, keepdim=True)
     own = flat_cell(position, grid.shape[-1]).unsqueeze(-1)
@@ -162,7 +163,7 @@ def _towards(grid: Tensor, position: Tensor, place: Tensor) -> Tensor:
 
 
 class _Window:
-    """The part of a large arena around each robot that its plans can be about."""
+    """The part of a large arena around each robot in which it plans."""
 
     def __init__(self, center: Tensor, size: torch.Size) -> None:
         full = torch.tensor(size, device=center.device)

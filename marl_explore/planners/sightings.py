@@ -1,4 +1,4 @@
-"""What robots remember of one another: when they were last in range, and where."""
+"""What robots remember about each other: when and where they were last linked."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from marl_explore.core.links import linked_others
 from marl_explore.core.sensing import in_view
 
 NOT_SEEN = -1_000_000
-"""The step of a sighting that never was."""
+"""Step of the last sighting if there was none."""
 
 
 class Sightings:
-    """Memory of a batch of teams; it starts anew where an episode does.
+    """Memory of a batch of teams; it is cleared where an episode starts.
 
     All entries are [B, N, ...]: row i is what robot i remembers.
 
@@ -22,13 +22,13 @@ class Sightings:
     """
 
     step: Tensor
-    """When i last had j in range, int64 [B, N, N]; NOT_SEEN before, and for j = i."""
+    """Step at which i was last linked to j, int64 [B, N, N]; NOT_SEEN before, and for j = i."""
     cell: Tensor
-    """Where j was then, int64 [B, N, N, 2]."""
+    """Position of j then, int64 [B, N, N, 2]."""
     waited: Tensor
-    """Whether j was there also one step earlier, bool [B, N, N]."""
+    """Whether j was at the same position one step earlier, bool [B, N, N]."""
     covered: Tensor
-    """Cells that i knows others have seen, bool [B, N, H, W]."""
+    """Cells that others have seen, as far as i knows, bool [B, N, H, W]."""
 
     def __init__(self, grid: Tensor) -> None:
         batch, robots, height, width = grid.shape
@@ -39,7 +39,7 @@ class Sightings:
         self.covered = torch.zeros(batch, robots, height, width, dtype=torch.bool, device=device)
 
     def update(self, now: Tensor, position: Tensor, linked: Tensor, radius: int) -> None:
-        """Take in one observation.
+        """Add one observation.
 
         Args:
             now: step of the episode, int64 [B, 1].
@@ -62,7 +62,7 @@ class Sightings:
         self.covered = self.covered | seen.view_as(self.covered)
 
     def last_place(self) -> Tensor:
-        """Where i saw another robot last, int64 [B, N, 2]."""
+        """Position at which i last saw another robot, int64 [B, N, 2]."""
         latest = self.step.argmax(-1)
         index = latest[..., None, None].expand(*latest.shape, 1, 2)
         return self.cell.gather(2, index).squeeze(2)

@@ -79,8 +79,8 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
         path: file to write, ending in .npz.
 
     Raises:
-        ValueError: for another ending, a folder that does not exist, or actors that read more
-            than FOV, FPR and NET.
+        ValueError: for another ending, a folder that does not exist, actors that read more than
+            FOV, FPR and NET, or a network without a numpy twin.
     """
     path = Path(path)
     if path.suffix != ".npz" or not path.parent.is_dir():
@@ -88,6 +88,9 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
             f"path={str(path)!r} is not allowed: it must end in .npz, in an existing folder"
         )
     told = spec_text(policy)
+    if policy.config.network.exported_as is None:
+        name = policy.config.network.name
+        raise ValueError(f"{name} actors cannot be exported as .npz: they have no numpy twin")
     weights = policy.actors.state_dict()
     arrays = {name: tensor.float().numpy() for name, tensor in weights.items()}
     with atomic_write(path) as unfinished, unfinished.open("wb") as file:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -14,7 +14,7 @@ from torch import nn
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.policies.actors import ACTION_MASK, TeamActor
-from marl_explore.policies.networks import Network, settings_from_json
+from marl_explore.policies.networks import Network, NetworkSettings
 from marl_explore.policies.networks.ablation import Ability, Ablated
 from marl_explore.transforms.features import make_features
 
@@ -22,7 +22,7 @@ FOV: NestedKey = ("agents", "observation", "fov")
 
 
 @dataclass(frozen=True)
-class PolicyConfig:
+class PolicyConfig(NetworkSettings):
     """Settings from which a policy's networks and features are built."""
 
     arena: ArenaConfig
@@ -37,19 +37,6 @@ class PolicyConfig:
         number = 1 if self.shared else self.arena.num_agents
         actors = [self.network.make_actor(self.arena) for _ in range(number)]
         return [Ablated(actor, self.ablate) for actor in actors] if self.ablate else actors
-
-    def to_json(self) -> dict[str, Any]:
-        """The settings as JSON values; the network as its name and options."""
-        return asdict(self) | self.network.to_json()
-
-    @classmethod
-    def from_json(cls, fields: Mapping[str, Any]) -> PolicyConfig:
-        """The inverse of ``to_json``.
-
-        Raises:
-            KeyError, TypeError, ValueError: when the fields are not such settings.
-        """
-        return cls(**settings_from_json(fields))
 
 
 class Policy(TensorDictModuleBase):

@@ -1,7 +1,7 @@
-"""A robot of the team, without a transport and without torch: numpy and nothing else.
+"""A robot of the team, without a transport and without torch; it needs only numpy.
 
-``RobotCore`` takes scans, poses and messages with their stamps and gives velocities and messages;
-a node around it (ROS 2, a simulator) carries them. docs/robots.md tells frames, units and messages.
+``RobotCore`` takes stamped scans, poses and messages, and returns velocities and messages; a node
+around it (ROS 2, a simulator) passes them on. docs/robots.md has frames, units and messages.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Who may go where: every robot works out the same ways from the same intents.
+"""Who may go where: every robot computes the same paths from the same intents.
 
-First the rules of the grid (docs/environment.md, Actions): what contends or crosses is refused.
-Then cells are locked in the order of the robots' numbers. A robot holds the cell it stands on and
-the one it goes to, and for a diagonal, driven as two straight moves, one cell beside it; who needs
-a cell that another one will leave, or only passes, goes after it.
+First the rules of the grid apply (docs/environment.md, Actions): contending and crossing moves are
+refused. Then cells are locked in the order of the robots' numbers. A robot holds the cell that it
+stands on and its target, and for a diagonal, driven as two straight moves, one cell beside it. A
+robot that needs a cell which another one leaves or passes goes after it.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from marl_explore.robot.messages import Intent
 
 @dataclass(frozen=True)
 class Way:
-    """Where a robot is to go in one tick."""
+    """The path of a robot in one tick."""
 
     cells: tuple[GridCell, ...]
-    """One after the other; none: it stays."""
+    """Cells to drive to, in order; empty: the robot stays."""
     after: frozenset[int] = field(default_factory=frozenset)
     """Robots that must have arrived before it starts."""
 
 
 def agree(intents: Mapping[int, Intent]) -> dict[int, Way]:
-    """The ways of all robots.
+    """The paths of all robots.
 
     Args:
-        intents: by robot; of those that are not heard, to stay where they are.
+        intents: by robot; robots that are not heard have the intent to stay where they are.
     """
     refused = {robot for robot, intent in intents.items() if intent.action >= STAY}
     refused |= contested(intents)
@@ -51,7 +51,7 @@ def target(intent: Intent) -> GridCell:
 
 
 def contested(intents: Mapping[int, Intent]) -> set[int]:
-    """Robots whose move is refused: to a held cell, to a contended one, or across another way."""
+    """Robots whose move is refused: to an occupied or contended cell, or across another path."""
     moves = {robot: intent for robot, intent in intents.items() if intent.action < STAY}
     starts = {intent.cell for intent in intents.values()}
     targets = {robot: target(intent) for robot, intent in moves.items()}
@@ -70,7 +70,7 @@ def contested(intents: Mapping[int, Intent]) -> set[int]:
 
 
 class _Locks:
-    """Cells beside diagonals, given out in the order of the robots' numbers."""
+    """Locks on cells beside diagonals, assigned in the order of the robots' numbers."""
 
     def __init__(self, intents: Mapping[int, Intent], refused: set[int]) -> None:
         self.intents, self.refused = intents, refused
@@ -87,7 +87,7 @@ class _Locks:
         return ways
 
     def _place(self, robot: int) -> bool:
-        """Give a robot what it needs beside its diagonal; False when nothing can be had."""
+        """Lock a cell beside a robot's diagonal, if it needs one; False if none is available."""
         if self.intents[robot].action % 2 == 0:
             return True
         for cell in self._sides(robot):
@@ -106,7 +106,7 @@ class _Locks:
             yield intent.cell[0], column
 
     def _order(self, robot: int, cell: GridCell) -> dict[int, frozenset[int]] | None:
-        """Who goes after whom if a robot goes by a cell; None if that cell stays held."""
+        """Who goes after whom if a robot passes a cell; None if that cell stays occupied."""
         order = dict(self.before)
         for other, intent in self.intents.items():
             if other == robot:

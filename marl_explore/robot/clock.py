@@ -1,4 +1,4 @@
-"""The shared clock: when the team's next step begins, by agreement or by the time of day."""
+"""The shared clock: when the team's next step begins, by agreement or by wall-clock time."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from marl_explore.config.checks import require_positive
 
 
 class Clock(Protocol):
-    """What tells a robot which tick it is."""
+    """Tells a robot the current tick."""
 
     announces: bool
-    """Whether robots tell each other that they are through with a tick."""
+    """Whether robots tell each other that they have finished a tick."""
 
     def tick(self, now: float) -> int:
-        """The tick at a time (seconds), which never falls; -1 before the first."""
+        """The tick at a time (seconds), which never decreases; -1 before the first."""
 
     def report(self, robot: int, tick: int, now: float) -> None:
-        """A robot is through with a tick."""
+        """Report that a robot has finished a tick."""
 
 
 class PeriodClock:
-    """A tick every so many seconds, the same on all robots whose clocks agree.
+    """A tick every ``period`` seconds, the same on all robots whose clocks agree.
 
     Args:
         period: length of a tick (seconds).
@@ -41,13 +41,14 @@ class PeriodClock:
         return max(-1, math.floor((now - self.start) / self.period))
 
     def report(self, robot: int, tick: int, now: float) -> None:
-        """Nobody is waited for."""
+        """Does nothing: no robot is waited for."""
 
 
 class BarrierClock:
-    """A tick begins when all robots are through with the one before.
+    """A tick begins when all robots have finished the one before.
 
-    Every robot has its own, fed with what the others tell; who is silent is no longer waited for.
+    Every robot has its own clock, which gets the others' reports; a robot that is silent for longer
+    than ``patience`` is no longer waited for.
 
     Args:
         robots: numbers of all robots.
@@ -70,14 +71,14 @@ class BarrierClock:
         if now - self._since > self.patience:
             self._missed |= waited_for
         latest = max(self._through.values())
-        if latest > self._tick:  # the others went on: join them
+        if latest > self._tick:  # the others are ahead: join them
             self._begin(latest, now)
         elif latest == self._tick and not waited_for - self._missed:
             self._begin(self._tick + 1, now)
         return self._tick
 
     def report(self, robot: int, tick: int, now: float) -> None:
-        """A robot is through with a tick; who was given up is waited for again."""
+        """Report that a robot has finished a tick; a robot that was silent is waited for again."""
         self._through[robot] = max(tick, self._through.get(robot, -1))
         self._missed.discard(robot)
 

@@ -1,4 +1,4 @@
-"""From cell to cell with a differential drive: turn to the next centre, go straight, stop there."""
+"""Differential drive from cell to cell: turn to the next cell's centre, go straight, stop there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from marl_explore.robot.messages import Pose
 
 
 class Velocity(NamedTuple):
-    """What a differential drive is told."""
+    """The command to a differential drive."""
 
     forward: float
     """Metres per second."""
@@ -33,18 +33,18 @@ class Drive:
     max_turn: float = 2.0
     """Radians per second."""
     arrival: float = 0.03
-    """Distance from a centre at which a robot has arrived (metres)."""
+    """Distance from a cell's centre at which a robot has arrived (metres)."""
     heading_tolerance: float = 0.35
-    """Largest error of heading with which it goes forward (radians)."""
+    """Largest heading error at which it drives forward (radians)."""
     forward_gain: float = 1.5
     """Per second."""
     turn_gain: float = 3.0
     """Per second."""
     clearance: float = 0.33
-    """A robot ahead and nearer than this is waited for (metres)."""
+    """The robot waits while another robot ahead is nearer than this (metres)."""
 
     def __post_init__(self) -> None:
-        """Refuse limits and gains that move no robot."""
+        """Check limits and gains."""
         units = {
             "max_forward": "metres per second",
             "max_turn": "radians per second",
@@ -62,7 +62,7 @@ class Drive:
         return math.hypot(goal[0] - pose.x, goal[1] - pose.y) < self.arrival
 
     def velocity(self, pose: Pose, goal: tuple[float, float], others: Iterable[Pose]) -> Velocity:
-        """Towards a goal, (x, y) in metres; others ahead are not run into."""
+        """Velocity towards a goal, (x, y) in metres; not forward if another robot is ahead."""
         if self.arrived(pose, goal):
             return ZERO
         east, north = goal[0] - pose.x, goal[1] - pose.y

@@ -1,4 +1,4 @@
-"""FPR of one robot's map: by the native kernel where it was built, else by numpy."""
+"""FPR of one robot's map: with the native kernel if it was built, else with numpy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BITS = NDArray[np.uint8]
 def feature_table(
     grid: NDArray[np.int8], position: GridCell, normalize: Normalization | None = "relative"
 ) -> Table:
-    """``core.frontier.feature_table`` of one map, the same numbers to the last bit.
+    """``core.frontier.feature_table`` of one map, bit-identical.
 
     Args:
         grid: int8 [H, W].
@@ -47,7 +47,7 @@ def feature_table(
 def native_table(
     grid: NDArray[np.int8], position: GridCell, normalize: Normalization | None
 ) -> Table:
-    """The table by the C kernel."""
+    """The table from the C kernel."""
     grid = np.ascontiguousarray(grid, np.int8)
     height, width = grid.shape
     cell = np.array(position, np.int64)
@@ -69,7 +69,7 @@ def native_table(
 def plain_table(
     grid: NDArray[np.int8], position: GridCell, normalize: Normalization | None
 ) -> Table:
-    """The table by numpy."""
+    """The table from numpy."""
     height, width = grid.shape
     if not (0 <= position[0] < height and 0 <= position[1] < width):
         raise ValueError(f"a position is outside its map of {height} x {width} cells")
@@ -108,7 +108,7 @@ def _search(padded: NDArray[np.int8], start: GridCell) -> tuple[_BITS, NDArray[n
 
 
 def _spread(front: _BITS, passable: NDArray[np.bool_]) -> _BITS:
-    """Every cell with the bits of its eight neighbours, diagonals by an open cell beside them."""
+    """Every cell with the bits of its eight neighbours, diagonals past a passable cell."""
     sideways = front.copy()
     sideways[:, 1:-1] |= front[:, :-2] | front[:, 2:]
     sideways *= passable

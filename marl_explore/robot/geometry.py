@@ -1,4 +1,4 @@
-"""Metres and cells: x points east, y north, and the origin is the middle of the arena."""
+"""Metres and cells: x points east, y north, and the origin is in the middle of the arena."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GridCell = tuple[int, int]
 
 @dataclass(frozen=True)
 class Frame:
-    """The grid of an arena in its frame."""
+    """The grid of an arena, in the arena's frame."""
 
     height: int
     """Rows (cells)."""
@@ -28,7 +28,7 @@ class Frame:
         return cls(config.height, config.width, config.cell_size)
 
     def cell(self, x: float, y: float) -> GridCell:
-        """The cell that holds a point (metres); it may lie outside the arena."""
+        """The cell that contains a point (metres); it may be outside the arena."""
         row = math.floor(self.height / 2 - y / self.cell_size)
         return row, math.floor(self.width / 2 + x / self.cell_size)
 
@@ -39,7 +39,7 @@ class Frame:
         return x, (self.height / 2 - row - 0.5) * self.cell_size
 
     def inside(self, cell: GridCell) -> bool:
-        """Whether a cell belongs to the arena."""
+        """Whether a cell is inside the arena."""
         return 0 <= cell[0] < self.height and 0 <= cell[1] < self.width
 
 

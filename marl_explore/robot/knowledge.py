@@ -1,4 +1,4 @@
-"""What a robot knows: its map, and what it has discovered since it last merged with each other."""
+"""A robot's knowledge: its map, and its discoveries since its last merge with each other robot."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Map = NDArray[np.int8]
 
 
 class Knowledge:
-    """One robot's map and its bookkeeping, as docs/environment.md has them under Entries.
+    """One robot's map and counts, as in docs/environment.md, Entries.
 
     Args:
-        robot: whose it is.
+        robot: number of the robot.
         robots: size of the team, N.
         frame: the arena's grid.
     """
@@ -33,7 +33,7 @@ class Knowledge:
         self._began = False
 
     def sense(self, cell: GridCell, seen: Map) -> int:
-        """Write what is seen around a cell into the map, which only grows.
+        """Write the cells seen around a cell into the map; known cells keep their values.
 
         Args:
             cell: middle of the square.
@@ -56,7 +56,7 @@ class Knowledge:
         return discovered
 
     def merge(self, maps: Mapping[int, Map]) -> int:
-        """Take over what the maps of the other members of a network know.
+        """Merge the maps of the other members of a network into the own map.
 
         Args:
             maps: by robot, int8 [H, W] each.
@@ -77,7 +77,7 @@ class Knowledge:
 
 
 def union(maps: Iterable[Map]) -> Map:
-    """What several maps know together; of contradicting ones the first counts."""
+    """The union of several maps; if they contradict each other, the first counts."""
     maps = iter(maps)
     total = next(maps)
     for grid in maps:

@@ -1,4 +1,4 @@
-"""Messages of the other robots by tick, and the count of what a robot sends itself."""
+"""Messages from other robots by tick, and counts of the messages that a robot sends."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from marl_explore.robot.knowledge import Map
 from marl_explore.robot.messages import Envelope, Intent, Message, Share
 
 KEPT_TICKS = 8
-"""For how long messages are of use."""
+"""How long messages are kept (ticks)."""
 
 
 class Mailbox:
-    """Letters in and out of one robot.
+    """Incoming and outgoing messages of one robot.
 
     Args:
-        robot: whose it is.
+        robot: number of the robot.
     """
 
     def __init__(self, robot: int) -> None:
         self.robot = robot
         self.sent: Counter[str] = Counter()
-        """Messages sent by kind, one for every robot that gets it."""
+        """Number of messages sent by kind, counted once for every receiver."""
         self.sent_bytes: Counter[str] = Counter()
         """Bytes of those."""
         self._intents: dict[int, dict[int, Intent]] = defaultdict(dict)
@@ -32,7 +32,7 @@ class Mailbox:
         self._out: list[Envelope] = []
 
     def receive(self, envelope: Envelope) -> None:
-        """Keep an intent or a share; of a share that comes twice, the first."""
+        """Store an intent or a share; if a share arrives twice, the first is kept."""
         message = envelope.message
         if isinstance(message, Intent):
             self._intents[message.tick][message.robot] = message
@@ -41,16 +41,16 @@ class Mailbox:
             shares.setdefault(message.robot, (envelope.sender, message))
 
     def intents(self, tick: int, robots: Iterable[int]) -> dict[int, Intent]:
-        """What some robots are about to do in a tick, of those that said so."""
+        """The intents that arrived from some robots for a tick."""
         told = self._intents.get(tick, {})
         return {robot: told[robot] for robot in robots if robot in told}
 
     def shared(self, tick: int, robots: Iterable[int]) -> dict[int, Map]:
-        """Maps that came in a tick from some robots, passed on ones too, by whose they are."""
+        """Maps that arrived in a tick from some robots, also forwarded ones, by their owner."""
         return {share.robot: share.map for _, share in self._sent_by(tick, robots)}
 
     def take_shared(self, tick: int, robots: Iterable[int]) -> dict[int, Map]:
-        """The same, but every map only once."""
+        """As ``shared``, but every map is returned only once."""
         maps = self.shared(tick, robots)
         maps = {robot: grid for robot, grid in maps.items() if (tick, robot) not in self._taken}
         self._taken |= {(tick, robot) for robot in maps}
@@ -61,7 +61,7 @@ class Mailbox:
         return [pair for pair in self._shares.get(tick, {}).values() if pair[0] in members]
 
     def send(self, message: Message, to: Iterable[int]) -> None:
-        """Send a message to others."""
+        """Send a message to other robots."""
         receivers = tuple(sorted(set(to) - {self.robot}))
         if receivers:
             kind = type(message).__name__.lower()
@@ -70,7 +70,7 @@ class Mailbox:
             self._out.append(Envelope(self.robot, receivers, message))
 
     def pass_on(self, tick: int, robots: Iterable[int]) -> None:
-        """Pass every map of a tick on once, so that it reaches the whole network."""
+        """Forward every map of a tick once, so that it reaches the whole network."""
         partners = set(robots)
         for sender, share in self._sent_by(tick, partners):
             if (tick, share.robot) not in self._passed:
@@ -78,12 +78,12 @@ class Mailbox:
                 self.send(share, partners - {sender, share.robot})
 
     def collect(self) -> tuple[Envelope, ...]:
-        """What is to be sent now."""
+        """The messages to send now."""
         out, self._out = tuple(self._out), []
         return out
 
     def forget(self, tick: int) -> None:
-        """Drop what is long past at a tick."""
+        """Drop old messages at a tick."""
         last = tick - KEPT_TICKS
         for letters in (self._intents, self._shares):
             for old in [t for t in letters if t < last]:

@@ -1,4 +1,4 @@
-"""What a scan says about the cells around a robot: an inverse sensor model, beam by beam."""
+"""From a scan to the cells around a robot: an inverse sensor model, beam by beam."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class BeamModel:
     """How beams vote for cells."""
 
     entry_tolerance: float = 0.12
-    """Most difference of a return from where its beam enters the cell it votes for (metres)."""
+    """Largest distance of a return from where its beam enters the cell it votes for (metres)."""
     margin: float = 0.08
-    """Beams that only graze the rim of a cell, so wide, do not vote for it (metres)."""
+    """Beams that only touch the rim of a cell do not vote on it; the rim's width (metres)."""
     robot_radius: float = 0.16
-    """Returns this near to a known robot are its body (metres)."""
+    """Returns closer than this to a known robot are its body (metres)."""
     votes: int = 3
-    """Fewest votes that decide a cell."""
+    """Minimum number of votes to decide a cell."""
     lidar_ahead: float = 0.0
-    """Where the lidar is, ahead of the middle of the robot (metres)."""
+    """Position of the lidar, ahead of the middle of the robot (metres)."""
 
     def __post_init__(self) -> None:
-        """Refuse votes that decide nothing, or everything."""
+        """Check the settings."""
         require_positive("entry_tolerance", self.entry_tolerance, "metres")
         for name in ("margin", "robot_radius"):
             require_not_negative(name, getattr(self, name), "metres")
@@ -53,22 +53,22 @@ def sight(
     radius: int,
     model: BeamModel | None = None,
 ) -> NDArray[np.int8]:
-    """What stands in the square around a robot, row 0 north.
+    """The cells of the square around a robot, row 0 north.
 
-    Faces of obstacles lie on borders of cells, so a return votes for the cell whose border its
-    beam enters there, and its beam votes against the cells it has gone through before.
+    Faces of obstacles lie on cell borders, so a return votes for the cell whose border its beam
+    enters there, and the beam votes against the cells that it has passed through.
 
     Args:
         scan: one turn of the lidar.
         pose: of the robot, when the scan was taken.
-        others: poses of other robots then.
+        others: poses of the other robots at that time.
         frame: the arena's grid.
         radius: half side k of the square (cells).
         model: how beams vote.
 
     Returns:
-        int8 [2k + 1, 2k + 1]: unknown, free (also where a robot stands) or occupied. Outside of
-        the arena it is unknown, and so is a diagonal cell behind two obstacles.
+        int8 [2k + 1, 2k + 1]: unknown, free (also where a robot stands) or occupied. Cells outside
+        the arena, and a diagonal cell behind two obstacles, are unknown.
     """
     model = model or BeamModel()
     others = list(others)
@@ -100,7 +100,7 @@ def square(cell: GridCell, radius: int) -> list[GridCell]:
 
 
 def hidden_corners(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The diagonal neighbours of the middle behind two occupied cells, bool like ``occupied``."""
+    """Diagonal neighbours of the middle behind two occupied cells, bool like ``occupied``."""
     hidden = np.zeros_like(occupied)
     middle = len(occupied) // 2
     for row in (-1, 1):
@@ -116,7 +116,7 @@ def _hide_corners(seen: NDArray[np.int8]) -> NDArray[np.int8]:
 
 
 def _beams(scan: Scan, pose: Pose) -> tuple[Floats, NDArray[np.bool_], Floats]:
-    """Lengths [R] and headings [R, 2] of the beams that say something, and which came back."""
+    """Lengths [R] and headings [R, 2] of valid beams, and which of them returned."""
     ranges = np.asarray(scan.ranges, np.float64)
     nothing = ((ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)) & scan.is_on
     angle = pose.yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
@@ -129,7 +129,7 @@ def _beams(scan: Scan, pose: Pose) -> tuple[Floats, NDArray[np.bool_], Floats]:
 def _on_robots(
     distance: Floats, heading: Floats, pose: Pose, others: list[Pose], radius: float
 ) -> NDArray[np.bool_]:
-    """Beams [R] that end on a known robot."""
+    """Beams [R] that end at a known robot."""
     ends = heading * distance[:, None] + (pose.x, pose.y)
     on = np.zeros(len(distance), bool)
     for other in others:
@@ -145,7 +145,7 @@ def _votes(
     error = np.abs(distance - enters)
     error[(leaves - enters <= model.margin) | (enters <= 0)] = math.inf
     best = np.zeros(error.shape, bool)
-    np.put_along_axis(best, error.argmin(0)[None], True, 0)  # the cell that fits best, only
+    np.put_along_axis(best, error.argmin(0)[None], True, 0)  # only the cell that fits best
     votes_for = best & (error < model.entry_tolerance)
     enters, leaves = _crossings(centres, heading, side / 2 - model.margin)
     through = (leaves > enters) & (leaves > 0)
@@ -154,7 +154,7 @@ def _votes(
 
 
 def _crossings(centres: Floats, heading: Floats, half: float) -> tuple[Floats, Floats]:
-    """How far along each beam the squares around centres are entered and left, [C, R] each."""
+    """Distances along each beam at which the squares around centres begin and end, [C, R] each."""
     slope = np.where(np.abs(heading) < 1e-9, 1e-9, heading)[None]
     low = (centres[:, None] - half) / slope
     high = (centres[:, None] + half) / slope

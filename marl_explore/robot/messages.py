@@ -1,4 +1,4 @@
-"""What a robot is told by its sensors and what robots tell each other, with the bytes it takes."""
+"""Sensor data of a robot, and the messages between robots with their encoding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from marl_explore.config.constants import NUM_ACTIONS, UNKNOWN
 from marl_explore.robot.geometry import GridCell
 
 MOST_TICKS_APART = 10_000
-"""Between a message and who receives it; a robot that comes late takes over the team's tick."""
+"""Between a message and its receiver; a robot that joins late takes over the team's tick."""
 
 
 def _require_finite(measured: Pose | Scan, *names: str) -> None:
@@ -28,17 +28,17 @@ class Pose:
     """Where a robot is, in the arena's frame."""
 
     stamp: float
-    """When that was measured (seconds)."""
+    """Time of measurement (seconds)."""
     robot: int
     x: float
     """East (metres)."""
     y: float
     """North (metres)."""
     yaw: float
-    """Heading, 0 east and counter-clockwise (radians)."""
+    """Heading, 0 to the east, counter-clockwise (radians)."""
 
     def check(self) -> None:
-        """Refuse numbers that are none.
+        """Raise an error for numbers that are not finite.
 
         Raises:
             ValueError: naming the field and its value.
@@ -46,7 +46,7 @@ class Pose:
         _require_finite(self, "stamp", "x", "y", "yaw")
 
     def ahead(self, distance: float) -> Pose:
-        """The pose so far ahead (metres)."""
+        """The pose moved forward by a distance (metres)."""
         x, y = self.x + distance * math.cos(self.yaw), self.y + distance * math.sin(self.yaw)
         return replace(self, x=x, y=y)
 
@@ -56,25 +56,25 @@ class Scan:
     """One turn of a robot's lidar, as ROS's LaserScan has it."""
 
     stamp: float
-    """When it was measured (seconds)."""
+    """Time of measurement (seconds)."""
     ranges: NDArray[np.floating]
-    """Distances [R] (metres); 0, inf and NaN are no return, if any says that the lidar is on."""
+    """Distances [R] (metres); 0, inf and NaN are no return, unless the lidar is off."""
     angle_min: float = 0.0
     """Angle of the first beam in the robot's frame, 0 ahead (radians)."""
     angle_increment: float = 2 * np.pi / 360
-    """From one beam to the next, counter-clockwise (radians)."""
+    """Angle between beams, counter-clockwise (radians)."""
     range_min: float = 0.12
-    """Shorter ranges say nothing (metres)."""
+    """Shorter ranges are ignored (metres)."""
     range_max: float = 3.5
-    """Longer ranges are no return (metres)."""
+    """Longer ranges mean no return (metres)."""
 
     @property
     def is_on(self) -> bool:
-        """Whether the lidar turns and is not covered: it says something beyond ``range_min``."""
+        """Whether the lidar is on and not covered: some range is above ``range_min``."""
         return bool((np.asarray(self.ranges) > self.range_min).any())
 
     def check(self) -> None:
-        """Refuse numbers that are none, and a lidar that is off.
+        """Raise an error for numbers that are not finite, and for a lidar that is off.
 
         Raises:
             ValueError: naming the field and its value.
@@ -89,17 +89,17 @@ class Scan:
 
 @dataclass(frozen=True)
 class Intent:
-    """What a robot is about to do, told before it does it."""
+    """A robot's next action, sent before it acts."""
 
     robot: int
     tick: int
     cell: GridCell
-    """Where it starts from."""
+    """Cell where it starts."""
     action: int
     upright: bool = False
-    """Whether its diagonal can go by the cell north or south of it first."""
+    """Whether its diagonal can pass through the cell north or south of it."""
     sideways: bool = False
-    """Whether its diagonal can go by the cell east or west of it first."""
+    """Whether its diagonal can pass through the cell east or west of it."""
 
     _FORMAT = struct.Struct("<BBIhhBB")
 
@@ -117,7 +117,7 @@ class Intent:
 
 @dataclass(frozen=True)
 class Share:
-    """A communicating robot's map; members of its network pass it on."""
+    """The map of a communicating robot; members of its network forward it."""
 
     robot: int
     """Whose map it is."""
@@ -128,7 +128,7 @@ class Share:
     _FORMAT = struct.Struct("<BBIHH")
 
     def encode(self) -> bytes:
-        """Ten bytes, and two bits for every cell."""
+        """Ten bytes, and two bits per cell."""
         height, width = self.map.shape
         codes = (self.map - UNKNOWN).astype(np.uint8)
         bits = np.packbits(np.stack((codes & 1, codes >> 1)).astype(bool))
@@ -139,12 +139,14 @@ class Share:
         """The share that was encoded.
 
         Raises:
-            ValueError: for another length, before any memory is taken, or other codes.
+            ValueError: for a wrong length, before allocating memory, or other cell values.
         """
         _, robot, tick, height, width = cls._FORMAT.unpack_from(data)
         length = cls._FORMAT.size + math.ceil(height * width / 4)
         if len(data) != length:
-            raise ValueError(f"of {height} x {width} cells has {length} bytes, not {len(data)}")
+            raise ValueError(
+                f"a map of {height} x {width} cells has {length} bytes, not {len(data)}"
+            )
         packed = np.frombuffer(data, np.uint8, offset=cls._FORMAT.size)
         low, high = np.unpackbits(packed, count=2 * height * width).reshape(2, height, width)
         if (low & high).any():
@@ -154,7 +156,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Done:
-    """A robot is through with a tick; it goes to all, as part of the shared clock."""
+    """A robot has finished a tick; sent to all robots, as part of the shared clock."""
 
     robot: int
     tick: int
@@ -179,11 +181,11 @@ def decode(data: bytes) -> Message:
     """The message that was encoded.
 
     Raises:
-        ValueError: when it is none.
+        ValueError: when the data are not a message.
     """
     kind = _KINDS.get(data[0]) if data else None
     if kind is None:
-        raise ValueError(f"these {len(data)} bytes are no message: {data[:8]!r}")
+        raise ValueError(f"these {len(data)} bytes are not a message: {data[:8]!r}")
     try:
         return kind.decode(data)
     except (struct.error, ValueError) as error:
@@ -192,21 +194,21 @@ def decode(data: bytes) -> Message:
 
 @dataclass(frozen=True)
 class Envelope:
-    """A message on its way."""
+    """A message with its sender and receivers."""
 
     sender: int
-    """Who sends it, which for a passed on share is not whose map it is."""
+    """The sending robot; for a forwarded share not the owner of the map."""
     to: tuple[int, ...]
-    """Who is to get it."""
+    """The receiving robots."""
     message: Message
 
     def check(self, robots: int, shape: tuple[int, int], tick: int) -> None:
-        """Refuse what cannot come from a team.
+        """Raise an error for a message that cannot come from the team.
 
         Args:
-            robots: its size, N.
+            robots: size of the team, N.
             shape: of its maps, [H, W].
-            tick: of who receives it.
+            tick: of the receiver.
 
         Raises:
             ValueError: naming what does not fit.

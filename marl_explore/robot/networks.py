@@ -1,4 +1,4 @@
-"""Numpy twins of the networks that robots run: the same logits from the same weights."""
+"""Numpy versions of the networks for robots: the same logits from the same weights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _EPSILON = 1e-5  # of torch's layer normalisation
 
 
 def _layers(weights: Weights, prefix: str) -> list[str]:
-    """Names of a sequence's layers with weights, in their order."""
+    """Names of a sequence's layers with weights, in order."""
     own = [name.removeprefix(f"{prefix}.") for name in weights if name.startswith(f"{prefix}.")]
     return [f"{prefix}.{number}" for number in sorted({int(name.split(".")[0]) for name in own})]
 
@@ -28,7 +28,7 @@ def _linear(weights: Weights, name: str, inputs: Array) -> Array:
 
 
 def mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
-    """``MLPActor``: its layers by their shapes, ReLU after each linear one but the last."""
+    """``MLPActor``: layers identified by their shapes, ReLU after each linear one but the last."""
     values = np.concatenate((_flat(fov, 2), _flat(fpr, 2), net), -1)
     names = _layers(weights, "layers")
     for name in names:
@@ -43,7 +43,7 @@ def mlp(weights: Weights, fov: Array, fpr: Array, net: Array) -> Array:
 
 def _normalized(weights: Weights, name: str, values: Array) -> Array:
     scale, shift = weights[f"{name}.weight"], weights[f"{name}.bias"]
-    if scale.shape != values.shape[-1:]:  # numpy would stretch a scale of length 1
+    if scale.shape != values.shape[-1:]:  # numpy would broadcast a scale of length 1
         raise ValueError(f"{name}.weight of shape {scale.shape} must have {values.shape[-1:]}")
     centred: Array = values - values.mean(-1, keepdims=True)
     spread = np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(_EPSILON))

@@ -1,4 +1,4 @@
-"""What a robot decides on: FOV, FPR, NET and the action mask, from its map and the poses."""
+"""A robot's observation: FOV, FPR, NET and the action mask, from its map and the poses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Observation(NamedTuple):
     """One robot's entries of ``ExplorationEnv``, without batch and robot dimensions."""
 
     fov: NDArray[np.float32]
-    """[2k + 1, 2k + 1]; 1 where there is an obstacle, a robot, the outside, or nothing known."""
+    """[2k + 1, 2k + 1]; 1 for obstacles, robots, cells outside and unknown cells."""
     fpr: NDArray[np.float32]
     """[8, 3]."""
     net: NDArray[np.float32]
@@ -47,7 +47,7 @@ class Observation(NamedTuple):
 
 
 def in_range(cell: GridCell, other: GridCell, range_cells: float) -> bool:
-    """Whether two cells are at most so far apart (cells; may be infinite)."""
+    """Whether two cells are at most ``range_cells`` apart (cells; may be infinite)."""
     squared = (cell[0] - other[0]) ** 2 + (cell[1] - other[1]) ** 2
     return squared <= (range_cells + TOLERANCE) ** 2
 
@@ -58,11 +58,11 @@ def observe(
     config: ArenaConfig,
     fpr: Normalization | None,
 ) -> Observation:
-    """The observation of the robot whose knowledge it is.
+    """The observation of a robot.
 
     Args:
-        knowledge: after sensing and merging.
-        cells: where the robots are whose poses are known, its own among them.
+        knowledge: the robot's, after sensing and merging.
+        cells: of the robots whose poses are known, including its own.
         config: sizes and ranges.
         fpr: normalisation of the frontier table.
     """
@@ -87,7 +87,7 @@ def observe(
 
 
 def _around(grid: Map, cell: GridCell, radius: int) -> Map:
-    """Codes of the square around a cell, UNKNOWN outside, int8 [2k + 1, 2k + 1]."""
+    """Cell values of the square around a cell, UNKNOWN outside, int8 [2k + 1, 2k + 1]."""
     padded = np.pad(grid, radius, constant_values=UNKNOWN)
     row, column = cell
     side = 2 * radius + 1
@@ -111,8 +111,8 @@ def open_sides(codes: Map, action: int) -> tuple[bool, bool]:
     """Whether the cells beside a diagonal, north or south and east or west of it, are free.
 
     Args:
-        codes: around the robot, int8 [2k + 1, 2k + 1].
-        action: any; only diagonals have open sides.
+        codes: cell values around the robot, int8 [2k + 1, 2k + 1].
+        action: any action; only diagonals have open sides.
     """
     if action >= STAY or action % 2 == 0:
         return False, False
@@ -122,7 +122,7 @@ def open_sides(codes: Map, action: int) -> tuple[bool, bool]:
 
 
 def sides_of(observation: Observation, config: ArenaConfig, action: int) -> tuple[bool, bool]:
-    """``open_sides`` of the robot's own cell."""
+    """``open_sides`` at the robot's own cell."""
     return open_sides(_around(observation.map, observation.position, config.fov_radius), action)
 
 
@@ -141,5 +141,5 @@ def _action_mask(
 
 
 def complete(observation: Observation) -> bool:
-    """Whether no frontier of the robot's map can be reached."""
+    """Whether the robot's map has no reachable frontier."""
     return math.isclose(float(observation.fpr[:, 0].sum()), 0)

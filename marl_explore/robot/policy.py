@@ -1,4 +1,4 @@
-"""A trained robot's network by numpy, from the .npz file that ``marl_explore.export`` writes."""
+"""A robot's actor in numpy, from the .npz file that ``marl_explore/policies/export.py`` writes."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ _ABILITIES = ("fov", "fpr", "net", "communication")
 
 
 class ExportedPolicy:
-    """One robot's actor: logits by numpy, then a masked choice.
+    """One robot's actor: logits from numpy, then a masked choice.
 
     Called with an ``Observation`` it returns an action.
 
     Args:
         path: an exported .npz file.
         robot: whose actor to take.
-        sample: whether actions are drawn with the policy's probabilities; False: the likeliest,
-            with which a robot without memory can repeat a refused move for ever.
-        seed: of the drawn actions.
+        sample: whether actions are sampled; False: the most likely action, with which a memoryless
+            policy can repeat a refused move forever.
+        seed: of the sampled actions.
 
     Raises:
-        ValueError: when the file is no exported policy, naming what does not fit, or has no such
-            robot.
+        ValueError: when the file is not an exported policy, naming what does not fit, or has no
+            such robot.
     """
 
     def __init__(self, path: str | Path, robot: int, sample: bool = True, seed: int = 0) -> None:
@@ -71,7 +71,7 @@ class ExportedPolicy:
             raise ValueError(f"{path} is not an exported policy: {reason}") from error
 
     def _check_weights(self) -> None:
-        """Refuse arrays that are no network for the arena, by a trial."""
+        """Check, with a trial run, that the arrays are a network for the arena."""
         for name, array in self._weights.items():
             if not np.isfinite(array).all():
                 raise ValueError(f"{name} must be finite")
@@ -97,7 +97,7 @@ class ExportedPolicy:
         return int((logits + self._chance.gumbel(size=logits.shape)).argmax())
 
     def with_seed(self, seed: int | Sequence[int]) -> ExportedPolicy:
-        """The same actor, drawing its actions by another seed; the weights are shared."""
+        """The same actor, sampling with another seed; the weights are shared."""
         other = copy.copy(self)
         if self._chance is not None:
             other._chance = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""One robot without a transport: stamped events in, velocities and messages out."""
+"""One robot without a transport: takes stamped events, returns velocities and messages."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from marl_explore.robot.settings import RobotSettings
 
 Policy = Callable[[Observation], int]
 CONTENTION_CELLS = 8.0
-"""Squared distance of two robots whose moves can have one target (cells)."""
+"""Largest squared distance of two robots whose moves can have the same target (cells)."""
 
 
 class Output(NamedTuple):
-    """What a robot does now."""
+    """A robot's commands and messages now."""
 
     velocity: Velocity
     messages: tuple[Envelope, ...]
@@ -40,7 +40,7 @@ class Output(NamedTuple):
 class RobotCore:
     """A robot that explores, tick by tick: sense, decide, agree, then drive or exchange maps.
 
-    Feed it with ``receive`` and call ``advance`` often; it holds no threads and reads no clock.
+    Pass events to ``receive`` and call ``advance`` often; it has no threads and reads no clock.
 
     Args:
         robot: its number in the team.
@@ -48,11 +48,11 @@ class RobotCore:
         policy: ``Observation`` in, action out, such as ``ExportedPolicy``.
         clock: the team's shared clock.
         fpr: normalisation of the frontier table.
-        settings: how it waits, drives and looks.
+        settings: timeouts, drive and sensor model.
 
     Raises:
         ValueError: when the communication range is less than 2 sqrt(2) cells: robots that could
-            collide would not hear of each other's moves.
+            collide would not hear each other.
     """
 
     def __init__(
@@ -80,9 +80,9 @@ class RobotCore:
         self.mail = Mailbox(robot)
         self.tick = -1
         self.observation: Observation | None = None
-        """Of the latest tick that was sensed."""
+        """The observation of the last tick with sensing."""
         self.action = STAY
-        """Of the latest tick that was decided."""
+        """The action of the last tick with a decision."""
         self._phase: Callable[[float], bool] = self._begin
         self._since = 0.0
         self._used: Scan | None = None
@@ -101,15 +101,15 @@ class RobotCore:
 
     @property
     def is_complete(self) -> bool:
-        """Whether no frontier of its map can be reached."""
+        """Whether its map has no reachable frontier."""
         return self.observation is not None and complete(self.observation)
 
     def receive(self, event: Scan | Pose | Envelope, now: float) -> None:
-        """Take what a sensor measured or another robot sent, in any order, late ones too.
+        """Take a measurement or another robot's message, in any order, also late.
 
         Raises:
             ValueError: for a message that cannot come from this team, a stamp in the future or
-                numbers that are not finite; it is dropped.
+                numbers that are not finite; the event is dropped.
         """
         if isinstance(event, Scan):
             self.sensors.add_scan(event, now)
@@ -125,10 +125,10 @@ class RobotCore:
                 self.mail.receive(event)
 
     def advance(self, now: float) -> Output:
-        """Go on as far as what is known allows.
+        """Advance as far as the received events allow.
 
         Args:
-            now: the time (seconds), of the same clock as the stamps.
+            now: the time (seconds), from the same clock as the stamps.
         """
         self._since = min(self._since, now)  # clocks can be set back
         while self._phase(now):
@@ -137,8 +137,8 @@ class RobotCore:
             self.mail.pass_on(tick, partners)
         return Output(self._velocity(now), self.mail.collect())
 
-    # ------------------------------------------------------------ one phase after the other; each
-    # returns whether the next one is to be tried at once
+    # ------------------------------------------------------------ the phases of a tick; each
+    # returns whether to try the next one immediately
 
     def _begin(self, now: float) -> bool:
         tick = self.clock.tick(now)
@@ -150,7 +150,7 @@ class RobotCore:
         return True
 
     def _sense(self, now: float) -> bool:
-        if self._begin(now):  # the others went on
+        if self._begin(now):  # the others are ahead
             return True
         scan = self.sensors.scan
         if scan is None or scan.stamp < self._since or scan is self._used:
@@ -183,7 +183,7 @@ class RobotCore:
             observation = observation._replace(action_mask=mask)
         self.action = int(self.policy(observation))
         if not 0 <= self.action < NUM_ACTIONS:
-            raise ValueError(f"the policy's action {self.action!r} is none of 0 to 9")
+            raise ValueError(f"the policy's action {self.action!r} is not one of 0 to 9")
         sides = sides_of(observation, self.config, self.action)
         allowed = self.action if observation.action_mask[self.action] else STAY
         intent = Intent(self.robot, self.tick, observation.position, allowed, *sides)
@@ -197,8 +197,8 @@ class RobotCore:
         missing = self._reach - heard.keys()
         if missing - self._silent and self._is_patient(now):
             return False
-        if self._begin(now):  # these intents are of the past
-            if not self.clock.announces:  # otherwise it may be this robot that was not there
+        if self._begin(now):  # these intents are outdated
+            if not self.clock.announces:  # otherwise this robot may have been the absent one
                 self._silent = missing
             return True
         self._silent = missing
@@ -219,7 +219,7 @@ class RobotCore:
         return True
 
     def _is_patient(self, now: float) -> bool:
-        """Whether messages of this tick are still waited for."""
+        """Whether to keep waiting for messages of this tick."""
         waited = now - self._since
         return waited <= self.settings.message_patience and self.clock.tick(now) <= self.tick
 
@@ -253,7 +253,7 @@ class RobotCore:
         if not self._legs:
             return self._finish(now)
         expired = now - self._since > self.settings.move_expiry
-        if expired and self._legs[-1] != self._passed[0]:  # back by the cells it came by
+        if expired and self._legs[-1] != self._passed[0]:  # back the way it came
             self._legs = self._passed[::-1]
         self._is_overdue(now)
         return False
@@ -262,7 +262,7 @@ class RobotCore:
         return self.settings.drive.arrived(pose, self.frame.centre(self._legs[0]))
 
     def _is_overdue(self, now: float) -> bool:
-        """Whether the next tick has begun meanwhile; then the others are told where this ends."""
+        """Whether the next tick has begun; if so, tell the others where this move ends."""
         tick = self.clock.tick(now)
         if tick <= self.tick:
             return False

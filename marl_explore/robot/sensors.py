@@ -1,4 +1,4 @@
-"""The latest scan and everybody's latest poses, and how old they are."""
+"""The latest scan and the latest poses of all robots, with their ages."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _KEPT = 64
 
 
 class Sensors:
-    """What a robot has been told of the world.
+    """A robot's sensor data.
 
     Args:
-        robot: whose sensors they are.
-        max_pose_age: an older pose is none (seconds), and what is stamped so far in the future.
-        max_scan_age: an older scan is none (seconds).
+        robot: number of the robot.
+        max_pose_age: older poses, and data stamped further in the future, are invalid (seconds).
+        max_scan_age: older scans are invalid (seconds).
     """
 
     def __init__(self, robot: int, max_pose_age: float, max_scan_age: float) -> None:
@@ -26,20 +26,20 @@ class Sensors:
         self._poses: dict[int, deque[Pose]] = {}
 
     def add_scan(self, scan: Scan, now: float) -> None:
-        """Take a scan; one that is overtaken by a later one is dropped.
+        """Add a scan; it is dropped if there is a later one.
 
         Raises:
-            ValueError: for a stamp in the future (``now`` is in seconds), or what is not finite.
+            ValueError: for a stamp in the future (``now`` is in seconds), or non-finite numbers.
         """
         self._check(scan, now)
         if self.scan is None or scan.stamp >= self.scan.stamp or self._future(self.scan.stamp, now):
             self.scan = scan
 
     def add_pose(self, pose: Pose, now: float) -> None:
-        """Take a robot's pose; one that is overtaken by a later one is dropped.
+        """Add a robot's pose; it is dropped if there is a later one.
 
         Raises:
-            ValueError: for a stamp in the future (``now`` is in seconds), or what is not finite.
+            ValueError: for a stamp in the future (``now`` is in seconds), or non-finite numbers.
         """
         self._check(pose, now)
         poses = self._poses.setdefault(pose.robot, deque(maxlen=_KEPT))
@@ -61,12 +61,12 @@ class Sensors:
 
     @property
     def pose(self) -> Pose | None:
-        """Where the robot itself was last."""
+        """The robot's own latest pose."""
         poses = self._poses.get(self.robot)
         return poses[-1] if poses else None
 
     def fresh(self, now: float) -> bool:
-        """Whether the robot's pose and scan are of now, as far as it takes to drive by them."""
+        """Whether the robot's pose and scan are recent enough to drive."""
         pose, scan = self.pose, self.scan
         return (
             pose is not None
@@ -76,7 +76,7 @@ class Sensors:
         )
 
     def at(self, stamp: float) -> dict[int, Pose]:
-        """The poses nearest to a time; robots without one that is near enough are left out."""
+        """The poses nearest to a time; robots without a pose that is near enough are left out."""
         nearest = {
             robot: min(poses, key=lambda pose: abs(pose.stamp - stamp))
             for robot, poses in self._poses.items()
@@ -88,9 +88,9 @@ class Sensors:
         }
 
     def others(self) -> list[Pose]:
-        """Where the other robots were last, however long ago."""
+        """The latest poses of the other robots, however old."""
         return [poses[-1] for robot, poses in self._poses.items() if robot != self.robot]
 
     def last_cells(self, frame: Frame) -> dict[int, GridCell]:
-        """Cells of the other robots, however long ago."""
+        """The latest cells of the other robots, however old."""
         return {pose.robot: frame.cell(pose.x, pose.y) for pose in self.others()}

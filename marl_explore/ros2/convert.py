@@ -1,7 +1,7 @@
-"""ROS's standard messages and what robots know: pure functions on the messages' fields.
+"""Conversion to and from standard ROS messages: pure functions on the messages' fields.
 
-``*_fields`` give a message's fields as nested dictionaries, ``fill`` puts them into a message, and
-``to_*`` read any object with those fields: of rclpy as well as of a recording.
+``*_fields`` return a message's fields as nested dictionaries, ``fill`` writes them into a message,
+and ``to_*`` read any object with those fields, from rclpy or from a recording.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PERCENT_OCCUPIED = 100
 
 
 def fill(message: Any, fields: Mapping[str, Any]) -> Any:
-    """The message with its fields set; arrays as rclpy wants them."""
+    """The message with its fields set, with arrays in the types that rclpy expects."""
     for name, value in fields.items():
         if isinstance(value, Mapping):
             fill(getattr(message, name), value)
@@ -91,7 +91,7 @@ def pose_fields(pose: Pose, frame_id: str) -> Fields:
 
 
 def to_pose(message: Any, robot: int) -> Pose:
-    """The pose of a geometry_msgs/PoseStamped: its yaw, whatever its roll and pitch."""
+    """The pose of a geometry_msgs/PoseStamped; of its orientation only the yaw is used."""
     place, turned = message.pose.position, message.pose.orientation
     yaw = math.atan2(
         2 * (turned.w * turned.z + turned.x * turned.y), 1 - 2 * (turned.y**2 + turned.z**2)
@@ -100,12 +100,12 @@ def to_pose(message: Any, robot: int) -> Pose:
 
 
 def grid_fields(grid: NDArray[np.int8], frame: Frame, stamp: float, frame_id: str) -> Fields:
-    """nav_msgs/OccupancyGrid: row 0 is the south, and its corner lies south-west of the origin.
+    """nav_msgs/OccupancyGrid: row 0 is in the south, and its corner is south-west of the origin.
 
     Args:
         grid: a map, int8 [H, W], row 0 north.
         frame: the arena's grid.
-        stamp: when the map was so (seconds).
+        stamp: time of the map (seconds).
         frame_id: name of the arena's frame.
     """
     percent = np.where(grid == OCCUPIED, np.int8(PERCENT_OCCUPIED), grid)
@@ -141,14 +141,14 @@ def letter_fields(envelope: Envelope) -> Fields:
 
 
 def to_letter(message: Any, receiver: int) -> Envelope:
-    """The letter of a std_msgs/UInt8MultiArray.
+    """The message in a std_msgs/UInt8MultiArray, with its sender.
 
     Raises:
-        ValueError: when it is none.
+        ValueError: when the data are not such a message.
     """
     data = bytes(message.data)
     if not data:
-        raise ValueError("a letter of no bytes")
+        raise ValueError("a message without bytes")
     return Envelope(data[0], (receiver,), decode(data[1:]))
 
 

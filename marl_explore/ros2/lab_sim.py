@@ -1,6 +1,6 @@
-"""The simulated lab as a ROS 2 node, in place of robots, motion capture and clock.
+"""The simulated lab as a ROS 2 node, which replaces robots, motion capture and clock.
 
-``ros2 run marl_explore_ros2 lab_sim``; it takes the extra "lab", and so torch.
+``ros2 run marl_explore_ros2 lab_sim``; it needs the extra "lab", which includes torch.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from marl_explore.ros2.parameters import four_robots
 
 @dataclass(frozen=True)
 class LabParameters:
-    """Of ``lab_sim``."""
+    """Parameters of ``lab_sim``."""
 
     team: list[str] = field(default_factory=four_robots)
     """Namespaces of all robots, in the order of their numbers."""
@@ -46,21 +46,21 @@ class LabParameters:
     """Whether velocities are TwistStamped instead of Twist."""
     arena: ArenaConfig = field(default_factory=ArenaConfig)
     number: int = 0
-    """Which of the test arenas."""
+    """Index of the test arena."""
     seed: int = 0
-    """Of arenas, noise and first headings."""
+    """Seed of arenas, noise and initial headings."""
     noise: Noise = field(default_factory=Noise)
     speed: float = 1.0
-    """Most seconds of the lab in a second."""
+    """Maximum number of simulated seconds per second."""
     scan_period: float = 0.2
-    """From one turn of a lidar to the next (seconds)."""
+    """Time between two turns of a lidar (seconds)."""
     watchdog: float = 0.5
-    """A robot whose velocity is older stands still (seconds)."""
+    """A robot stands still if its last command is older than this (seconds)."""
     patience: float = 2.0
-    """How long time stands still for a robot that has not answered (seconds of the day)."""
+    """How long simulated time waits for a robot that has not answered (wall-clock seconds)."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the parameters."""
         for name in ("speed", "scan_period", "watchdog", "patience"):
             require_positive(name, getattr(self, name), "seconds")
         if len(self.team) != self.arena.num_agents:
@@ -70,9 +70,9 @@ class LabParameters:
 
 
 class LabNode(ParameterNode[LabParameters]):
-    """Lets time pass in the lab: scans, poses and the clock go out, velocities come in.
+    """Steps the lab: publishes scans, poses and the clock, and receives velocities.
 
-    Time stands still until every robot that is alive has answered the last step.
+    Simulated time stands still until every robot that is alive has answered the last step.
     """
 
     def __init__(self) -> None:
@@ -111,7 +111,7 @@ class LabNode(ParameterNode[LabParameters]):
         return LabWorld(given.arena, arenas, given.noise, given.seed)
 
     def _send_truth(self) -> None:
-        """The arena as it is, for those who want to compare."""
+        """Publish the true arena, for comparison."""
         self._truth = self.create_publisher(OccupancyGrid, "~/map", LATEST)
         obstacles = self.world.obstacles[0].numpy().astype(np.int8)
         fields = convert.grid_fields(obstacles, Frame.of(self.given.arena), 0.0, self.given.frame)
@@ -136,7 +136,7 @@ class LabNode(ParameterNode[LabParameters]):
         self._time.publish(Clock(clock=self._stamp()))
 
     def _velocity(self, velocity: Velocity, told: float) -> Velocity:
-        """What a robot's wheels do: nothing when they were told too long ago."""
+        """A robot's actual velocity: zero if the command is too old."""
         return velocity if self.world.now - told <= self.given.watchdog else ZERO
 
     def _stamp(self) -> Any:
@@ -156,7 +156,7 @@ class LabNode(ParameterNode[LabParameters]):
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node until it is told to end."""
+    """Run the node until it is stopped."""
     run(LabNode, args, lambda node: None)
 
 

@@ -1,4 +1,4 @@
-"""What both nodes share: how messages are kept for those that come late, and how a node ends."""
+"""Shared by both nodes: QoS for robots that join late, read-only parameters, and shutdown."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def _kept(depth: int) -> QoSProfile:
 
 
 LETTERS = _kept(16)
-"""The last letters of every sender also reach a robot that comes late: it learns the tick."""
+"""The last messages of every sender also reach a robot that joins late, so it learns the tick."""
 LATEST = _kept(1)
-"""Of maps, the last one."""
+"""The last map is kept."""
 
 
 _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -44,10 +44,10 @@ class ParameterNode(Node, Generic[Given]):
 
     Args:
         name: of the node.
-        default: the values where nothing is given.
+        default: the default values.
 
     Raises:
-        ValueError: for a parameter that there is not, or a value that is not allowed.
+        ValueError: for an unknown parameter, or a value that is not allowed.
     """
 
     def __init__(self, name: str, default: Given) -> None:
@@ -71,14 +71,14 @@ def run(make: Callable[[], Node], args: list[str] | None, stop: Callable[[Any], 
     Args:
         make: the node.
         args: command line.
-        stop: called with the node when it ends, by an error too, while it can still publish.
+        stop: called with the node when it ends, also after an error, while it can still publish.
 
     Raises:
-        SystemExit: with what is wrong, when the node refuses its parameters.
+        SystemExit: with the error, when the node rejects its parameters.
     """
     told: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        # an exception from here could be lost in a callback of the middleware
+        # an exception raised here could be lost in a callback of the middleware
         signal.signal(number, lambda number, frame: told.append(number))
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:

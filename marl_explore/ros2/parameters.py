@@ -1,4 +1,4 @@
-"""Parameters of the nodes: dataclasses whose fields can be given by name, and what they make."""
+"""Parameters of the nodes: dataclasses whose fields are set by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Given = TypeVar("Given")
 
 
 def flat(values: Any, prefix: str = "") -> dict[str, Any]:
-    """The fields of a dataclass by name, those of dataclasses in it as ``outer.inner``."""
+    """The fields of a dataclass by name; those of nested dataclasses as ``outer.inner``."""
     fields: dict[str, Any] = {}
     for entry in dataclasses.fields(values):
         value, name = getattr(values, entry.name), prefix + entry.name
@@ -24,14 +24,14 @@ def flat(values: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def replaced(default: Given, given: Mapping[str, Any]) -> Given:
-    """A dataclass with the parameters that are given.
+    """A dataclass with some parameters replaced.
 
     Args:
-        default: the values where nothing is given.
-        given: values by the names that ``flat`` has.
+        default: the default values.
+        given: values by the names from ``flat``.
 
     Raises:
-        ValueError: for a name there is not, a value of another type, or one the dataclass refuses.
+        ValueError: for an unknown name, a value of another type, or one that is not allowed.
     """
     known = flat(default)
     for name, value in given.items():
@@ -62,37 +62,37 @@ def four_robots() -> list[str]:
 
 @dataclass(frozen=True)
 class RobotParameters:
-    """Of ``robot_node``."""
+    """Parameters of ``robot_node``."""
 
     robot: int = 0
     """The robot's number in the team."""
     policy: str = ""
-    """An exported policy, .npz; the arena is the one it was trained for."""
+    """An exported policy (.npz); it determines arena, team size and ranges."""
     team: list[str] = field(default_factory=four_robots)
     """Namespaces of all robots, in the order of their numbers."""
     frame: str = "arena"
-    """Frame of poses and maps: its origin is the arena's middle."""
+    """Frame of poses and maps, with its origin in the middle of the arena."""
     base_frame: str = "base_link"
-    """Frame of a stamped velocity."""
+    """Frame of stamped velocities."""
     stamped: bool = False
     """Whether velocities are TwistStamped instead of Twist."""
     rate: float = 20.0
     """How often velocities are sent (per second)."""
     period: float = 0.0
-    """Length of a tick by the time of day (seconds); 0: a tick begins when all are through."""
+    """Length of a tick by wall-clock time (seconds); 0: a tick begins when all are done."""
     patience: float = 60.0
-    """How long a robot is waited for with no ``period`` (seconds)."""
+    """How long to wait for a silent robot if ``period`` is 0 (seconds)."""
     sample: bool = True
-    """Whether actions are drawn with the policy's probabilities."""
+    """Whether actions are sampled."""
     seed: int = 0
-    """Of the drawn actions."""
+    """Seed of the sampled actions."""
     settings: RobotSettings = field(default_factory=RobotSettings)
 
     def make_core(self) -> RobotCore:
         """The robot.
 
         Raises:
-            ValueError: for a policy that is none or of another team.
+            ValueError: when the policy is not an exported policy, or is for another team.
         """
         require_positive("rate", self.rate, "1/s")
         if not Path(self.policy).is_file():
@@ -100,7 +100,9 @@ class RobotParameters:
         policy = ExportedPolicy(self.policy, self.robot, self.sample, self.seed)
         robots = policy.arena.num_agents
         if len(self.team) != robots:
-            raise ValueError(f"team={self.team!r} is not allowed: the policy is of {robots} robots")
+            raise ValueError(
+                f"team={self.team!r} is not allowed: the policy is for {robots} robots"
+            )
         clock = (
             PeriodClock(self.period) if self.period else BarrierClock(range(robots), self.patience)
         )

@@ -1,4 +1,4 @@
-"""Recordings of robots as rosbag2 in MCAP, by the package rosbags (extra "ros") and without ROS."""
+"""Recordings of robots as rosbag2 in MCAP, with the package rosbags (extra "ros"), without ROS."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _KINDS = {
 
 
 class Recorder:
-    """Writes what robots are told and what they answer, under the names of ``robot_node``.
+    """Writes what robots receive and the velocities that they send, on ``robot_node``'s topics.
 
-    To be used in a ``with`` statement; what is recorded later comes later in the recording.
+    Use it in a ``with`` statement; the recording keeps the order of the calls.
 
     Args:
         path: new folder of the recording.
@@ -58,12 +58,12 @@ class Recorder:
         self._writer.close()
 
     def receive(self, robot: int, event: Scan | Pose | Envelope, now: float) -> None:
-        """A robot receives something; of poses, its own are recorded.
+        """Record that a robot receives an event; of poses, only its own are recorded.
 
         Args:
-            robot: who receives it.
+            robot: the receiver.
             event: as for ``RobotCore.receive``.
-            now: when it comes (seconds).
+            now: time of arrival (seconds).
         """
         if isinstance(event, Scan):
             frame = f"{self.team[robot]}/base_scan"
@@ -74,7 +74,7 @@ class Recorder:
             self._write(robot, "pose", convert.pose_fields(event, self.frame), now)
 
     def answer(self, robot: int, velocity: Velocity, now: float) -> None:
-        """A robot's velocity (metres and radians per second) at a time (seconds)."""
+        """Record a robot's velocity (metres and radians per second) at a time (seconds)."""
         fields = convert.stamped_velocity_fields(velocity, now, "base_link")
         self._write(robot, "cmd_vel", fields, now)
 
@@ -82,20 +82,20 @@ class Recorder:
         name, kind = f"/{self.team[robot]}/{topic}", _KINDS[topic]
         if name not in self._connections:
             self._connections[name] = self._writer.add_connection(name, kind, typestore=_TYPES)
-        # readers sort by time: things of one instant keep their order a nanosecond apart
+        # readers sort by time: simultaneous messages keep their order by a nanosecond
         self._last = max(self._last + 1, round(now * 1e9))
         data = _TYPES.serialize_cdr(_message(kind, fields), kind)
         self._writer.write(self._connections[name], self._last, data)
 
 
 def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
-    """Topic, time (seconds) and message of everything in a recording, in the order of time.
+    """Topic, time (seconds) and message of everything in a recording, ordered by time.
 
     Raises:
-        ValueError: when it is no recording.
+        ValueError: when it is not a recording.
     """
     if not (Path(path) / "metadata.yaml").is_file():
-        raise ValueError(f"{path} is no recording: it has no metadata.yaml")
+        raise ValueError(f"{path} is not a recording: it has no metadata.yaml")
     with AnyReader([Path(path)], default_typestore=_TYPES) as reader:
         for connection, nanoseconds, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
@@ -103,9 +103,10 @@ def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
 
 
 def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
-    """Let a robot live through a recording again.
+    """Run a robot on a recording.
 
-    It receives its scans and letters and all poses, and goes on whenever it sent a velocity.
+    It receives its scans, its messages and all poses again, and advances at every time at which it
+    sent a velocity.
 
     Args:
         path: folder of the recording.
@@ -113,10 +114,10 @@ def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> 
         team: namespaces of all robots, in the order of their numbers.
 
     Returns:
-        How often it went on.
+        How often it advanced.
 
     Raises:
-        ValueError: when that robot sent no velocity.
+        ValueError: when the robot sent no velocity.
     """
     own, advanced = team[core.robot], 0
     take: dict[str, Callable[[Any], Scan | Pose | Envelope]] = {
@@ -135,14 +136,14 @@ def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> 
             core.advance(convert.to_seconds(message.header.stamp) if stamped else time)
             advanced += 1
     if not advanced:
-        raise ValueError(f"{path} has no /{own}/cmd_vel: it does not tell when the robot acted")
+        raise ValueError(f"{path} has no /{own}/cmd_vel, so it is unknown when the robot acted")
     return advanced
 
 
 def _message(kind: str, fields: Mapping[str, Any]) -> Any:
-    """A message of rosbags, zero where no field is given."""
+    """A message of rosbags; fields that are not given are zero."""
     values = {}
-    detail: Any  # of a nested message its kind, of a sequence what is in it
+    detail: Any  # kind of a nested message, or element type of a sequence
     for name, (node, detail) in _TYPES.fielddefs[kind][1]:
         if node is Nodetype.NAME:
             values[name] = _message(detail, fields.get(name, {}))
@@ -154,5 +155,5 @@ def _message(kind: str, fields: Mapping[str, Any]) -> Any:
 
 
 def _empty(node: Nodetype, detail: Any) -> Any:
-    """A sequence of nothing: an array of numbers, a list of messages."""
+    """An empty sequence: an array for numbers, a list for messages."""
     return np.array([], detail[0]) if node is Nodetype.BASE else []

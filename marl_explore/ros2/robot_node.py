@@ -1,6 +1,6 @@
 """One robot of the team as a ROS 2 node: ``ros2 run marl_explore_ros2 robot_node``.
 
-With ``--dry-run`` it senses, decides and talks, and sends no velocity.
+With ``--dry-run`` it senses, decides and sends messages, but no velocity.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from marl_explore.ros2.parameters import RobotParameters
 
 
 class RobotNode(ParameterNode[RobotParameters]):
-    """Carries scans, poses and letters to ``RobotCore``, and velocities, letters and maps from it.
+    """Passes scans, poses and messages to ``RobotCore``, and publishes its outputs.
 
     Args:
-        dry_run: whether no velocity is sent.
+        dry_run: whether to send no velocities.
     """
 
     def __init__(self, dry_run: bool = False) -> None:
@@ -54,7 +54,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         self.create_timer(1 / self.given.rate, self._advance)
 
     def stop(self) -> None:
-        """Let the robot stand still."""
+        """Stop the robot."""
         self._send_velocity(ZERO, time_of(self))
 
     def _take_scan(self, message: Any) -> None:
@@ -72,7 +72,7 @@ class RobotNode(ParameterNode[RobotParameters]):
 
     def _take_measured(self, event: Scan | Pose) -> None:
         now = time_of(self)
-        if not now:  # simulated time has not begun: it is not known how old this is
+        if not now:  # simulated time has not begun: the age is unknown
             return
         try:
             self.core.receive(event, now)
@@ -85,7 +85,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         try:
             self.core.receive(convert.to_letter(message, self.given.robot), time_of(self))
         except ValueError as error:
-            self.get_logger().error(f"dropped a letter: {error}")
+            self.get_logger().error(f"dropped a message: {error}")
 
     def _advance(self) -> None:
         now = time_of(self)
@@ -119,7 +119,7 @@ class RobotNode(ParameterNode[RobotParameters]):
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node until it is told to end."""
+    """Run the node until it is stopped."""
     words = sys.argv if args is None else args
     parser = argparse.ArgumentParser(prog="robot_node", description="One robot of the team.")
     parser.add_argument("--dry-run", action="store_true", help="send no velocity")

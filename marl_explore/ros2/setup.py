@@ -1,4 +1,4 @@
-"""The package for colcon: both nodes with all of marl_explore, so that robots need no pip."""
+"""The package for colcon: both nodes and all of marl_explore, so that robots do not need pip."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ SHARE = f"share/{NAME}"
 
 
 def files(folder: str) -> list[str]:
-    """Files of a folder, as setuptools wants them."""
+    """Files of a folder, for setuptools."""
     return sorted(str(path.relative_to(HERE)) for path in (HERE / folder).iterdir())
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require, require_coverage, require_integer
-from marl_explore.policies.networks import MLP, CriticInput, Network, settings_from_json
+from marl_explore.policies.networks import MLP, CriticInput, Network, NetworkSettings
 from marl_explore.policies.networks.ablation import Ability, require_abilities
 
 Algorithm = Literal["happo", "mappo", "ippo"]
@@ -22,7 +21,7 @@ _CHOICES = {
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(NetworkSettings):
     """A training run; the defaults are the paper's Table III and, where it is open, HAPPO's."""
 
     arena: ArenaConfig = field(default_factory=ArenaConfig)
@@ -156,16 +155,3 @@ class TrainConfig:
     def updates(self) -> int:
         """Number of updates of the whole run."""
         return self.episodes * self.episode_steps // self.batch_frames
-
-    def to_json(self) -> dict[str, Any]:
-        """The settings as JSON values; the network as its name and options."""
-        return asdict(self) | self.network.to_json()
-
-    @classmethod
-    def from_json(cls, fields: Mapping[str, Any]) -> TrainConfig:
-        """The inverse of ``to_json``.
-
-        Raises:
-            KeyError, TypeError, ValueError: when the fields are not such settings.
-        """
-        return cls(**settings_from_json(fields))

@@ -1,4 +1,4 @@
-"""Features of maps and positions as TorchRL transforms: on an env, in a replay buffer, alone."""
+"""Features of maps and positions as TorchRL transforms: on an env, in a replay buffer, or alone."""
 
 from marl_explore.transforms.frontier import FrontierReachability
 from marl_explore.transforms.neighbors import CommunicationNeighbors

@@ -1,4 +1,4 @@
-"""The common shape of our transforms: several input entries, one feature."""
+"""Base classes of the feature transforms: several input entries, one feature."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CODES = f"{UNKNOWN} unknown, {FREE} free, {OCCUPIED} occupied"
 
 
 def require_range(range_cells: float) -> None:
-    """Refuse what is no communication range."""
+    """Require a number of at least 0."""
     if not isinstance(range_cells, (int, float)) or not range_cells >= 0:  # NaN too
         raise ValueError(f"range_cells={range_cells!r} is not allowed: it must be a number >= 0")
 
@@ -26,9 +26,9 @@ def require_range(range_cells: float) -> None:
 class FeatureTransform(Transform):
     """Computes one feature from several entries of a TensorDict, with any batch dimensions.
 
-    A subclass gives ``check_kinds``, ``compute`` and ``feature_spec``. On an environment the
-    feature is part of every observation; called on a TensorDict (as an nn.Module, or on samples of
-    a replay buffer) it is written at the root and, where the inputs are there too, under "next".
+    A subclass implements ``check_kinds``, ``compute`` and ``feature_spec``. On an environment the
+    feature is part of every observation. Called on a TensorDict (as an nn.Module, or on samples of
+    a replay buffer), it is written at the root and, if the inputs are there too, under "next".
 
     Raises:
         ValueError: when ``out_key`` is one of ``in_keys``.
@@ -41,15 +41,15 @@ class FeatureTransform(Transform):
         self._vouched = False
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Refuse entries, or their specs, of another dtype or shape."""
+        """Raise an error for entries, or their specs, with a wrong dtype or shape."""
         raise NotImplementedError
 
     def compute(self, *inputs: Tensor) -> Tensor:
-        """The feature of the entries named by ``in_keys``."""
+        """The feature, from the entries named by ``in_keys``."""
         raise NotImplementedError
 
     def feature_spec(self, *inputs: TensorSpec) -> TensorSpec:
-        """Spec of the feature, given the specs of the entries named by ``in_keys``."""
+        """The spec of the feature, from the specs of the entries named by ``in_keys``."""
         raise NotImplementedError
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -74,16 +74,16 @@ class FeatureTransform(Transform):
         return self.compute(*inputs)
 
     def check_values(self, *inputs: Tensor) -> None:
-        """Refuse values that cannot be."""
+        """Raise an error for values that are not allowed."""
 
     def vouch(self, *inputs: TensorSpec) -> bool:
-        """Whether the specs of an environment rule out all that ``check_values`` refuses."""
+        """Whether the specs of an environment guarantee that ``check_values`` passes."""
         return True
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        # rows that are not reset are thrown away by the caller: compute the others only
+        # the caller discards rows that are not reset: compute only the others
         flagged = tensordict.get("_reset", None)
         if flagged is None or flagged.all():
             return self._call(tensordict_reset)
@@ -105,7 +105,7 @@ class FeatureTransform(Transform):
         return self._entries(tensordict, "the TensorDict")
 
     def _entries(self, holder: Any, name: str) -> list[Any]:
-        """The entries named by ``in_keys``, of a TensorDict or of a spec."""
+        """The entries named by ``in_keys``, from a TensorDict or a spec."""
         entries = []
         for key in self.in_keys:
             entry = holder.get(key, None)
@@ -120,7 +120,7 @@ class FeatureTransform(Transform):
         return entries
 
     def _require_team(self, key: NestedKey, position: Tensor | TensorSpec) -> None:
-        """Refuse what are no positions int64 [*B, N, 2] of a team."""
+        """Require positions of a team, int64 [*B, N, 2]."""
         if position.dtype != torch.int64 or position.ndim < 2 or position.shape[-1] != 2:
             self._refuse(key, "int64 of shape [*B, N, 2] (row, column of every robot)", position)
 
@@ -132,15 +132,15 @@ class FeatureTransform(Transform):
 
 
 class LinkedFeature(FeatureTransform):
-    """A feature that depends on who is linked: it reads an entry with links, or a range.
+    """A feature that depends on links, which it reads from an entry or computes from a range.
 
     Args:
         in_keys: further entries to read; one of them holds the positions of a team.
         out_key: entry to write.
         range_cells: largest distance of cell centres at which robots are linked (cells; may be
             infinite), for data without links.
-        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
-        position: place of the positions among ``in_keys``.
+        linked_key: entry with the links, bool [*B, N, N]; None: compute them from the range.
+        position: index of the positions among ``in_keys``.
 
     Raises:
         ValueError: for a negative range.
@@ -159,7 +159,7 @@ class LinkedFeature(FeatureTransform):
         self.range_cells, self.linked_key, self._position = range_cells, linked_key, position
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Positions must be int64 [*B, N, 2], and links bool [*B, N, N]."""
+        """Require positions int64 [*B, N, 2] and links bool [*B, N, N]."""
         position = inputs[self._position]
         self._require_team(self.in_keys[self._position], position)
         if self.linked_key is not None:
@@ -168,7 +168,7 @@ class LinkedFeature(FeatureTransform):
                 self._refuse(self.linked_key, f"bool of shape {shape} (linked pairs)", inputs[-1])
 
     def links_of(self, inputs: Sequence[Tensor]) -> Tensor:
-        """Who is linked, bool [*B, N, N], of all inputs."""
+        """The links, bool [*B, N, N], from all inputs."""
         if self.linked_key is None:
             return within_range(inputs[self._position], self.range_cells)
         return inputs[-1]
@@ -177,14 +177,14 @@ class LinkedFeature(FeatureTransform):
 class MapFeature(FeatureTransform):
     """A feature of maps int8 [*B, H, W] (-1 unknown, 0 free, 1 occupied) and a position in each.
 
-    They are the entries named by ``in_keys``, in this order; positions are int64 [*B, 2]. Those of
-    a feature ``of_team`` are [*B, N, H, W] and [*B, N, 2].
+    They are the entries named by ``in_keys``, in this order; positions are int64 [*B, 2]. If the
+    feature is ``of_team``, the shapes are [*B, N, H, W] and [*B, N, 2].
     """
 
     of_team = False
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Maps and positions must be of these types, on one device."""
+        """Require maps and positions of these dtypes and shapes, on one device."""
         grid, position = inputs[:2]
         if grid.dtype != torch.int8 or grid.ndim < 2 + self.of_team or 0 in grid.shape[-2:]:
             axes = "[*B, N, H, W]" if self.of_team else "[*B, H, W]"
@@ -198,13 +198,13 @@ class MapFeature(FeatureTransform):
             )
 
     def check_values(self, *inputs: Tensor) -> None:
-        """Maps hold three codes only, and positions lie in them."""
+        """Require that maps hold only the three cell values, and that positions are inside them."""
         grid, position = inputs[:2]
         other = (grid < UNKNOWN) | (grid > OCCUPIED)
         if other.any():
             raise ValueError(
                 f"{type(self).__name__}: {self.in_keys[0]!r} holds {grid[other][0].item()}, which "
-                f"is no code of a cell: {_CODES}"
+                f"is not a cell value: {_CODES}"
             )
         height, width = grid.shape[-2:]
         size = torch.tensor([height, width], device=position.device)
@@ -217,7 +217,7 @@ class MapFeature(FeatureTransform):
             )
 
     def vouch(self, *inputs: TensorSpec) -> bool:
-        """Whether bounds of the specs allow three codes and positions in the map only."""
+        """Whether the specs' bounds allow only the three cell values and positions in the map."""
         grid, position = inputs[:2]
         last = torch.tensor(grid.shape[-2:], device=position.device) - 1
         return within(grid, UNKNOWN, OCCUPIED) and within(position, 0, last)
@@ -229,7 +229,7 @@ class TeamMapFeature(MapFeature, LinkedFeature):
     of_team = True
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """As for both kinds of features."""
+        """The checks of both base classes."""
         MapFeature.check_kinds(self, *inputs)
         LinkedFeature.check_kinds(self, *inputs)
 

@@ -1,4 +1,4 @@
-"""Every part of the observation by name, and chains of transforms that compute some of them."""
+"""All parts of the observation by name, and chains of transforms that compute them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from marl_explore.transforms.surroundings import Clock, LocalMap, StepGain
 from marl_explore.transforms.team import FrontierTerritory, Teammates
 
 LINKED: NestedKey = ("agents", "linked")
-"""Where environments publish who is linked."""
+"""The entry in which environments publish links."""
 
 
 class FeatureOptions(NamedTuple):
-    """What transforms of features are made from."""
+    """Options from which feature transforms are made."""
 
     arena: ArenaConfig
     fpr: Normalization | None = "relative"
@@ -31,9 +31,9 @@ class Feature(NamedTuple):
     """A part of the observation, ("agents", "observation", its name)."""
 
     dims: int
-    """Dimensions of one robot's entry."""
+    """Number of dimensions of one robot's entry."""
     make: Callable[[FeatureOptions], Transform] | None
-    """Its transform; None: the environment observes it itself."""
+    """Its transform; None: the environment computes it itself."""
 
 
 FEATURES: dict[str, Feature] = {
@@ -61,12 +61,12 @@ def make_features(
 
     Args:
         arena: sensors and ranges.
-        names: of ``FEATURES``; those that the environment observes itself need no transform.
+        names: of ``FEATURES``; those that the environment computes itself need no transform.
         fpr: normalisation of the frontier table.
-        backend: what computes the frontier table.
+        backend: of the frontier table.
 
     Raises:
-        ValueError: naming a feature that is unknown, and those that there are.
+        ValueError: for an unknown feature, listing the known ones.
     """
     for name in names:
         if name not in FEATURES:

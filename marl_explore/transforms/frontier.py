@@ -1,4 +1,4 @@
-"""FPR: how many frontiers lie behind each direction, and how far."""
+"""FPR: how many frontiers lie in each direction, and how far away they are."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ BACKENDS: tuple[Backend, ...] = ("auto", "torch", "native")
 
 
 class FrontierReachability(MapFeature):
-    """The 8 x 3 table of trajectories to the frontiers of each robot's map (Algorithm 1).
+    """The 8 x 3 table of paths to the frontiers of each robot's map (Algorithm 1).
 
     Reads maps int8 [*B, H, W] (-1 unknown, 0 free, 1 occupied) and positions int64 [*B, 2];
-    writes float32 [*B, 8, 3]: number, mean length and deviation of the shortest paths to the
+    writes float32 [*B, 8, 3]: number, mean length and standard deviation of the shortest paths to
     frontiers whose first move goes N, NE, E, SE, S, SW, W, NW.
 
     Args:
@@ -32,16 +32,16 @@ class FrontierReachability(MapFeature):
         position_key: entry with the (row, column) positions.
         out_key: entry to write.
         normalize: "relative", "proximity", "absolute" or None for cells.
-        backend: "torch", "native" (C, CPU tensors only), or "auto": native where it can be used.
-            The numbers are the same to the last bit.
-        levels: longest path that is looked for (cells), on torch. It fixes the number of
-            operations, so that a GPU is never waited for; None: all paths.
+        backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible). The
+            results are bit-identical.
+        levels: maximum path length (cells), only with torch. It fixes the number of operations, so
+            that a GPU is never synchronised; None: all paths.
 
     Raises:
-        ValueError: for an unknown normalisation or backend, for entries of another dtype or shape,
-            for other codes, and for positions outside the map.
-        KeyError: when an entry is missing; it names those that are there.
-        RuntimeError: when the native backend is asked for and cannot be used.
+        ValueError: for an unknown normalisation or backend, for entries with another dtype or
+            shape, for other cell values, and for positions outside the map.
+        KeyError: when an entry is missing, listing the existing ones.
+        RuntimeError: when the native backend is requested and cannot be used.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class FrontierReachability(MapFeature):
         if backend not in BACKENDS:
             raise ValueError(f"backend={backend!r} is not one of {BACKENDS}")
         if levels is not None and (levels < 1 or backend == "native"):
-            raise ValueError(f"levels={levels!r} must be at least 1 and goes with torch")
+            raise ValueError(f"levels={levels!r} is not allowed: at least 1, without 'native'")
         if backend == "native" and (reason := native.missing()):
             raise RuntimeError(f"backend='native' cannot be used: {reason}")
         super().__init__([map_key, position_key], out_key)
@@ -79,7 +79,7 @@ class FrontierReachability(MapFeature):
         return self.backend == "native"
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
-        """Bounds of the table: 1 where normalised by the robot's own longest path."""
+        """Bounds of the table: 1 if normalised by the robot's own longest path."""
         height, width = grid.shape[-2:]
         high = 1 if self.normalize in ("relative", "proximity") else height * width
         shape = (*grid.shape[:-2], NUM_DIRECTIONS, NUM_FEATURES)

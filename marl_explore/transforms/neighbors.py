@@ -1,4 +1,4 @@
-"""NET: which robots are within communication range."""
+"""NET: which robots are in communication range."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from marl_explore.transforms.base import LinkedFeature
 
 
 class CommunicationNeighbors(LinkedFeature):
-    """Whether each pair of robots can communicate; a robot always can with itself.
+    """Whether each pair of robots can communicate; 1 on the diagonal.
 
     Reads positions int64 [*B, N, 2] (cells) and writes float32 [*B, N, N] of 0 and 1.
 
@@ -20,11 +20,11 @@ class CommunicationNeighbors(LinkedFeature):
         out_key: entry to write.
         range_cells: largest distance of cell centres (cells; may be infinite), for data without
             links.
-        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
+        linked_key: entry with the links, bool [*B, N, N]; None: compute them from the range.
 
     Raises:
-        ValueError: for a negative range, or entries of another dtype or shape.
-        KeyError: when the entry is missing; it names those that are there.
+        ValueError: for a negative range, or entries with another dtype or shape.
+        KeyError: when the entry is missing, listing the existing ones.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class CommunicationNeighbors(LinkedFeature):
         super().__init__([position_key], out_key, range_cells, linked_key)
 
     def compute(self, *inputs: Tensor) -> Tensor:
-        """NET float32 [*B, N, N] of positions [*B, N, 2], or of links."""
+        """NET float32 [*B, N, N], from positions [*B, N, 2] or from links."""
         return self.links_of(inputs).float()
 
     def feature_spec(self, position: TensorSpec, *_: TensorSpec) -> TensorSpec:

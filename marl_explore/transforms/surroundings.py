@@ -1,4 +1,4 @@
-"""What a robot's own map says of the cells around it, and the time that all robots share."""
+"""Features of a robot's own map around it, and the shared clock."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from marl_explore.core.sensing import cells_in_view, step_gains
 from marl_explore.transforms.base import FeatureTransform, MapFeature, TeamMapFeature
 
 LONG_STEPS = 16
-"""Elapsed steps that read as one half."""
+"""Number of elapsed steps that is scaled to one half."""
 CLOCK_PERIOD = 6
-"""Steps after which the clock is at the same place again."""
+"""Period of the clock (steps)."""
 LOCAL_VIEW = 4
-"""Cells of the map that are read to each side of a robot."""
+"""Cells of the local map on each side of a robot."""
 
 
 class StepGain(MapFeature):
-    """Share of the square around each neighbouring cell that a move there would see first.
+    """Share of new cells in the square that a robot would see after each move.
 
     Reads maps int8 [*B, H, W] and positions int64 [*B, 2]; writes float32 [*B, 8], 0 where the
     move is known to be blocked.
@@ -60,18 +60,18 @@ class StepGain(MapFeature):
 
 
 class LocalMap(TeamMapFeature):
-    """The part of its map around each robot of a team, and the robots in range that stand there.
+    """The part of its map around each robot of a team, and the linked robots in it.
 
     Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32
-    [*B, N, 3, 2r + 1, 2r + 1]: unknown cells; occupied cells and those outside; robots in range.
+    [*B, N, 3, 2r + 1, 2r + 1]: unknown cells; occupied cells and cells outside; linked robots.
 
     Args:
         map_key: entry with the maps of a team.
         position_key: entry with the (row, column) positions.
         out_key: entry to write.
         range_cells: largest distance at which robots are linked (cells), for data without links.
-        view: r, half a side of the part (cells).
-        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
+        view: r, half the side of the part (cells).
+        linked_key: entry with the links, bool [*B, N, N]; None: compute them from the range.
     """
 
     def __init__(
@@ -111,14 +111,14 @@ class LocalMap(TeamMapFeature):
 class Clock(FeatureTransform):
     """The time since the episode's start, for every robot of a team.
 
-    Reads the step count int64 [*B, 1] and, for their number, positions int64 [*B, N, 2]; writes
-    float32 [*B, N, 1 + period]: t / (t + 16), and t modulo the period as one of ``period`` numbers.
+    Reads the step count t, int64 [*B, 1], and, for the number of robots, positions int64
+    [*B, N, 2]; writes float32 [*B, N, 1 + period]: t / (t + 16), and t modulo the period, one-hot.
 
     Args:
-        step_key: entry with the steps of the episode.
+        step_key: entry with the step count.
         position_key: entry with the positions.
         out_key: entry to write.
-        period: steps after which the clock is at the same place again.
+        period: of the clock (steps).
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Clock(FeatureTransform):
         self.period = period
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Steps must be int64 [*B, 1] and positions int64 [*B, N, 2]."""
+        """Require steps int64 [*B, 1] and positions int64 [*B, N, 2]."""
         steps, position = inputs
         self._require_team(self.in_keys[1], position)
         shape = (*position.shape[:-2], 1)

@@ -1,4 +1,4 @@
-"""What robots of a team know of one another, and which frontiers that leaves to each."""
+"""What robots of a team know about each other, and which frontiers are left to each."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from marl_explore.core.information_gain import TERRITORY_SIZE, territory_table
 from marl_explore.transforms.base import LinkedFeature, TeamMapFeature
 
 NEAR_CELLS, FEW_CELLS, SHORT_STEPS = 8, 16, 8
-"""Scales at which distances, unshared cells and waiting times are told apart best."""
+"""Scales at which distances, unshared cells and waiting times are resolved best."""
 
 
 class FrontierTerritory(TeamMapFeature):
-    """The frontiers to which no other robot in range is nearer, by direction.
+    """The frontiers to which no other linked robot is nearer, by direction.
 
     Reads maps int8 [*B, N, H, W] and positions int64 [*B, N, 2]; writes float32 [*B, N, 8, 5]
-    (``core.outlook.territory_table``).
+    (``core.information_gain.territory_table``).
 
     Args:
         map_key: entry with the maps of a team.
@@ -27,7 +27,7 @@ class FrontierTerritory(TeamMapFeature):
         out_key: entry to write.
         range_cells: largest distance at which robots are linked (cells), for data without links.
         radius: of the square that a robot sees (cells).
-        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
+        linked_key: entry with the links, bool [*B, N, N]; None: compute them from the range.
     """
 
     def __init__(
@@ -54,12 +54,12 @@ class FrontierTerritory(TeamMapFeature):
 
 
 class Teammates(LinkedFeature):
-    """What each robot knows of every other one: where it is, and what was exchanged with it.
+    """What each robot knows about every other one: where it is, and what was exchanged with it.
 
-    Reads positions int64 [*B, N, 2], own cells since the last merge int64 [*B, N, N] (q_ij) and
-    steps since then int64 [*B, N, N]; writes float32 [*B, N, N, 6]: 1 for others in range; their
-    relative row and column over 8 cells, at most 1, and 1 / distance (0 out of range); q / (q + 16)
-    and s / (s + 8). All are 0 for the robot itself.
+    Reads positions int64 [*B, N, 2], own discoveries since the last merge int64 [*B, N, N] (q_ij)
+    and steps since then (s) int64 [*B, N, N]; writes float32 [*B, N, N, 6]: 1 for linked robots;
+    their relative row and column over 8 cells, at most 1, and 1 / distance (all 0 if not linked);
+    q / (q + 16) and s / (s + 8). All are 0 for the robot itself.
 
     Args:
         position_key: entry with the (row, column) positions.
@@ -67,7 +67,7 @@ class Teammates(LinkedFeature):
         since_key: entry with the steps since the last merge.
         out_key: entry to write.
         range_cells: largest distance at which robots are linked (cells), for data without links.
-        linked_key: entry with the links, bool [*B, N, N]; None: they follow from the range.
+        linked_key: entry with the links, bool [*B, N, N]; None: compute them from the range.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Teammates(LinkedFeature):
         super().__init__([position_key, unshared_key, since_key], out_key, range_cells, linked_key)
 
     def check_kinds(self, *inputs: Tensor | TensorSpec) -> None:
-        """Positions must be int64 [*B, N, 2], links bool and the others int64 [*B, N, N]."""
+        """Require positions int64 [*B, N, 2], links bool and the others int64 [*B, N, N]."""
         super().check_kinds(*inputs)
         position = inputs[0]
         shape = (*position.shape[:-1], position.shape[-2])

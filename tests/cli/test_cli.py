@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 
@@ -10,7 +10,7 @@ from marl_explore.cli import common as cli
 from marl_explore.cli import train
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.policies.io import save_policy
-from marl_explore.policies.networks import CNN, MLP
+from marl_explore.policies.networks import CNN, MLP, NETWORKS
 from marl_explore.policies.policy import Policy, PolicyConfig
 from marl_explore.training.presets import PRESETS
 from recipes import train_ray
@@ -58,3 +58,14 @@ def test_the_ray_recipe_asks_for_two_workers_of_ray_unless_told():
     assert (run.collector, run.workers) == ("ray", 2)
     assert train.parse(train_ray.words(["fast", "--workers", "5"])).run.workers == 5
     assert train_ray.words(["resume", "runs/a"]) == ["resume", "runs/a"]
+
+
+def test_an_option_with_the_name_of_another_setting_is_refused(monkeypatch):
+    @dataclass(frozen=True)
+    class Wide(MLP):
+        width: int = 3
+        name = "wide"
+
+    monkeypatch.setitem(NETWORKS, "wide", Wide)
+    with pytest.raises(ValueError, match="network='wide' .* option 'width' has the name"):
+        train.parse(["fast", "--network", "wide"])

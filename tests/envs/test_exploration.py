@@ -315,7 +315,7 @@ def test_given_starts_that_cannot_be_are_refused(change, message):
         ),
         (
             lambda td: td.set(("agents", "map"), torch.full_like(td["agents", "map"], -1)),
-            r"map of robot 0 in arena 0: cell \(0, 0\) holds it, unknown",
+            r"map of robot 0 in arena 0: cell \(0, 0\) holds the robot but is unknown",
         ),
     ],
 )
@@ -465,7 +465,7 @@ def test_merging_is_reported_to_the_robots_in_the_network():
         ({"first_arena": -1}, "first_arena=-1"),
         ({"terminate_at_coverage": 1.5}, "terminate_at_coverage=1.5"),
         ({"reward": "case3"}, "reward='case3' is unknown.*case2-literal"),
-        ({"arenas": "caves"}, "arenas='caves' is no suite.*uniform"),
+        ({"arenas": "caves"}, "arenas='caves' is not a suite.*uniform"),
         ({"seed": 1.5}, "seed=1.5"),
         ({"stream": 3}, "stream=3"),
     ],

@@ -35,8 +35,8 @@ def test_words_name_rows():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["a", "a"], "policies='a' comes twice"),
-        (["a=x", "b=x", "a=y"], "policies='a' comes twice"),
+        (["a", "a"], "policies='a' is given twice"),
+        (["a=x", "b=x", "a=y"], "policies='a' is given twice"),
         (["=x"], "policies='=x' is not allowed"),
         (["a=x,"], "policies='a=x,' is not allowed"),
     ],
@@ -175,7 +175,7 @@ def test_the_bound_is_a_reference_without_episodes(tmp_path):
 @pytest.mark.parametrize("content", ["", "[]", "{}"])
 def test_a_file_that_is_no_cell_is_refused(tmp_path, content):
     (tmp_path / CELL.file_name).write_text(content)
-    with pytest.raises(ValueError, match="is no cell of a leaderboard: delete it"):
+    with pytest.raises(ValueError, match="is not a leaderboard cell: delete it"):
         leaderboard.make_cells(tmp_path, [CELL], progress=False)
 
 

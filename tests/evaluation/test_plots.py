@@ -155,7 +155,7 @@ def test_training_figure_draws_the_mean_over_seeds_and_its_interval(drawn, tmp_p
 
 
 def test_a_folder_without_the_measure_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="is no run folder with 'reward'"):
+    with pytest.raises(ValueError, match="is not a run folder with 'reward'"):
         plots.training_figure({"a": [tmp_path]}, "unused", {"reward": "reward"})
     empty = a_run(tmp_path / "run", useful_share=[(100, math.nan)])
     with pytest.raises(ValueError, match=r"useful_share.csv has no value"):
@@ -184,7 +184,7 @@ def test_an_animation_of_another_ending_or_without_its_program_is_refused(tmp_pa
     with pytest.raises(ValueError, match=r"path='a.avi' .* must end in .gif or .mp4"):
         plots.episode_animation(an_episode(1), "a.avi")
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(RuntimeError, match="takes ffmpeg on the PATH"):
+    with pytest.raises(RuntimeError, match="needs ffmpeg on the PATH"):
         plots.episode_animation(an_episode(1), tmp_path / "a.mp4")
     assert list(tmp_path.iterdir()) == []
 

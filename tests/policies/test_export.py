@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import torch
 
 from marl_explore.policies.export import Deployed, example_inputs, export_npz
+from marl_explore.policies.networks import MLP
 from marl_explore.policies.policy import Policy
 from marl_explore.robot import ExportedPolicy, Observation
 from tests.helpers.configs import NETWORKS
@@ -133,4 +134,16 @@ def test_actors_that_read_more_than_robots_compute_are_refused(tmp_path):
         ValueError, match=r"actors that read \('fov', .*'local'\) cannot be exported"
     ):
         export_npz(policy, tmp_path / "policy.npz")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_network_without_a_numpy_twin_is_refused(tmp_path):
+    @dataclass(frozen=True)
+    class Twinless(MLP):
+        name = "twinless"
+        exported_as = None
+
+    config = replace(a_policy().config, network=Twinless(hidden=(4,)))
+    with pytest.raises(ValueError, match=r"twinless actors cannot be exported as \.npz"):
+        export_npz(Policy(config, config.make_actors()), tmp_path / "policy.npz")
     assert not list(tmp_path.iterdir())

@@ -470,6 +470,6 @@ def test_times_must_be_positive(name):
 def test_an_action_that_is_none_is_refused():
     world = world_of(OPEN, ["stay", "stay"])
     world.cores[1].policy = lambda observation: 10
-    with pytest.raises(ValueError, match="action 10 is none of 0 to 9"):
+    with pytest.raises(ValueError, match="action 10 is not one of 0 to 9"):
         world.run(1)
     assert math.isfinite(world.now)

@@ -88,7 +88,7 @@ def test_a_robot_is_made_of_its_parameters(tmp_path):
     ("given", "message"),
     [
         ({"policy": "none.npz"}, "policy='none.npz' is not allowed"),
-        ({"team": ["a"]}, r"team=\['a'\] is not allowed: the policy is of 2 robots"),
+        ({"team": ["a"]}, r"team=\['a'\] is not allowed: the policy is for 2 robots"),
         ({"team": ["a", "b"], "robot": 2}, "robot=2 is not allowed"),
         ({"team": ["a", "b"], "rate": 0.0}, "rate=0.0 is not allowed"),
     ],

@@ -38,7 +38,7 @@ def poisoned(trainer, key, row, value):
             ("agents", "observation", "fpr"),
             (1, 2, 1, 5, 0),
             float("nan"),
-            r"update 2: agents, observation, fpr of robot_1 is not finite: 1 of 960 numbers \(NaN",
+            r"update 2: agents, observation, fpr of robot_1 is not finite: 1 of 960 values \(NaN",
         ),
         (
             ("next", "agents", "observation", "fov"),

@@ -175,9 +175,9 @@ GRID, CELL = torch.zeros(4, 5, dtype=torch.int8), torch.zeros(2, dtype=torch.int
         ({"seen": GRID, "at": torch.tensor([0, -1])}, r"'at' holds \(0, -1\).*4 x 5"),
         (
             {"seen": GRID + 100, "at": CELL},
-            "'seen' holds 100, which is no code .* -1 unknown, 0 fre",
+            "'seen' holds 100, which is not a cell value.* -1 unknown, 0 fre",
         ),
-        ({"seen": GRID - 2, "at": CELL}, "'seen' holds -2, which is no code"),
+        ({"seen": GRID - 2, "at": CELL}, "'seen' holds -2, which is not a cell value"),
     ],
 )
 def test_entries_of_another_kind_are_named(entries, message):
@@ -249,7 +249,7 @@ def test_specs_that_do_not_vouch_for_values_have_them_checked():
     assert env.rollout(2)["fpr"][1, 2].tolist() == [1, 1, 0]
     assert not feature._vouched
     env.base_env.code = 100
-    with pytest.raises(ValueError, match="'map' holds 100, which is no code"):
+    with pytest.raises(ValueError, match="'map' holds 100, which is not a cell value"):
         env.reset()
     own = make_env()
     own.reset()

@@ -26,15 +26,15 @@ ONLY = {
     "loss_critic_type": "l2",
     "minibatch_advantage": False,
 }
-"""Settings of MAPPO that have one value in HAPPO."""
+"""Settings of MAPPO that HAPPO allows only one value for."""
 
 
 class Team(TensorDictModuleBase):
-    """The actors of a group, each with parameters of its own, as the group's policy.
+    """The actors of a group, each with its own parameters, as the group's policy.
 
     Args:
         group: name of the group, entries [*B, n, ...].
-        actors: a probabilistic actor per agent, of a group of its own, entries [*B, 1, ...].
+        actors: a probabilistic actor per agent, for a group of its own, entries [*B, 1, ...].
     """
 
     def __init__(self, group: str, actors: Mapping[str, TensorDictModuleBase]) -> None:
@@ -56,7 +56,7 @@ class Team(TensorDictModuleBase):
         return tensordict
 
     def split(self, tensordict: TensorDictBase, keys: Iterable[Any]) -> TensorDict:
-        """Entries of the group, [*B, n, ...], as those of its agents' groups, [*B, 1, ...] each."""
+        """Entries of the group, [*B, n, ...], split into its agents' groups, [*B, 1, ...] each."""
         parts: dict[str, dict[str, torch.Tensor]] = {name: {} for name in self.actors}
         for key in keys:
             slices = tensordict.get(key).split(1, tensordict.ndim)
@@ -66,14 +66,14 @@ class Team(TensorDictModuleBase):
 
 
 class CriticLast(HAPPOLoss):
-    """HAPPO's losses, of which BenchMARL's own loop sees the critic's: the actors are done then."""
+    """HAPPO's losses; BenchMARL's loop sees only the critic's, after the actors' updates."""
 
     def __init__(self, *parts: Any, **options: Any) -> None:
         super().__init__(*parts, **options)
-        self.reports: dict[str, float] = {}  # of the actors' last update, for BenchMARL's logs
+        self.reports: dict[str, float] = {}  # of the actors' last update, for BenchMARL's log
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The critic's loss, and what is to be logged of the actors."""
+        """The critic's loss, and the actors' metrics for the log."""
         return self.critic_loss(tensordict).update(self.reports)
 
 
@@ -81,18 +81,18 @@ class Happo(Mappo):
     """HAPPO for any BenchMARL task: one actor per agent, updated one after the other.
 
     ``process_batch`` estimates advantages and updates the actors, with the experiment's learning
-    rate, epochs, minibatches and gradient clipping; BenchMARL's loop then trains the critic, which
-    is shared. The agents of a group get the mean of their rewards. The factor lives within a group.
+    rate, epochs, minibatches and gradient clipping; BenchMARL's loop then trains the shared critic.
+    The agents of a group get the mean of their rewards. Each group has its own factor.
 
     Raises:
-        ValueError: for settings of MAPPO that HAPPO has not, and for recurrent models.
+        ValueError: for settings of MAPPO that HAPPO does not support, and for recurrent models.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         for name, only in ONLY.items():
             if options[name] != only:
-                raise ValueError(f"{name}={options[name]!r} is not allowed: HAPPO has {only!r}")
+                raise ValueError(f"{name}={options[name]!r} is not allowed: HAPPO needs {only!r}")
         if self.has_rnn:
             raise ValueError(f"model_config={self.model_config} is not allowed: it is recurrent")
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
@@ -144,11 +144,11 @@ class Happo(Mappo):
         return batch
 
     def process_loss_vals(self, group: str, loss_vals: TensorDictBase) -> TensorDictBase:
-        """Nothing: the only loss left is the critic's."""
+        """Does nothing: the only loss left is the critic's."""
         return loss_vals
 
     def _minibatches(self, data: TensorDictBase, keys: list[NestedKey]) -> Iterator[TensorDictBase]:
-        """All minibatches of all passes of an actor."""
+        """The minibatches of all passes of an actor."""
         config = self.experiment_config
         size = config.train_minibatch_size(self.on_policy)
         for _ in range(config.n_optimizer_steps(self.on_policy)):
@@ -156,7 +156,7 @@ class Happo(Mappo):
                 yield data[rows]
 
     def _step(self, loss: HAPPOLoss, name: str, losses: TensorDictBase) -> None:
-        """One step of an actor's optimiser."""
+        """One optimiser step of an actor."""
         config = self.experiment_config
         if name not in self._optimizers:
             self._optimizers[name] = torch.optim.Adam(
@@ -173,7 +173,7 @@ class Happo(Mappo):
 
 
 def _share_reward(group: str, batch: TensorDictBase) -> None:
-    """The team's entries, without an agent axis, where the task has them per agent only."""
+    """Add the team's entries, without an agent axis, if the task has them only per agent."""
     after = batch.get("next")
     reward = after.get((group, "reward"), None)
     if reward is not None:
@@ -185,7 +185,7 @@ def _share_reward(group: str, batch: TensorDictBase) -> None:
 
 @dataclass
 class HappoConfig(MappoConfig):
-    """Settings of HAPPO: those of MAPPO, whose values are the defaults."""
+    """Settings of HAPPO: those of MAPPO, with the same defaults."""
 
     @staticmethod
     def associated_class() -> type[Happo]:
@@ -194,6 +194,6 @@ class HappoConfig(MappoConfig):
 
     @classmethod
     def get_from_yaml(cls, path: str | None = None) -> HappoConfig:
-        """BenchMARL's settings of MAPPO, or those of a file."""
+        """BenchMARL's settings of MAPPO, or those from a file."""
         theirs = MappoConfig.get_from_yaml(path)
         return cls(**{field.name: getattr(theirs, field.name) for field in fields(theirs)})

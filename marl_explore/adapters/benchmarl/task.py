@@ -18,11 +18,12 @@ FEATURES = ("agents", "features")
 class ExplorationTask(TaskClass):
     """The exploration environment as a BenchMARL task.
 
-    Robots observe ("agents", "features"), float32 [B, N, (2k+1)^2 + 24 + N] (FOV, FPR and NET in a
-    row), and ("agents", "action_mask"). There is no state: critics read all robots' features.
+    Robots observe ("agents", "features"), float32 [B, N, (2k+1)^2 + 24 + N] (FOV, FPR and NET
+    concatenated), and ("agents", "action_mask"). There is no state: critics read all robots'
+    features.
 
     Args:
-        config: arguments of ``make_env`` beside seed, num_envs and device; "config" may also be a
+        config: arguments of ``make_env`` except seed, num_envs and device; "config" may also be a
             mapping of ``ArenaConfig``'s fields. "max_steps" is 200 if not given.
 
     Raises:
@@ -36,18 +37,18 @@ class ExplorationTask(TaskClass):
         super().__init__("exploration", options)
         self.get_env_fun(
             1, continuous_actions=False, seed=0, device="cpu"
-        )()  # refuses what is wrong
+        )()  # raises an error for wrong arguments
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
-        """What makes the environment of ``num_envs`` arenas."""
+        """A function that makes the environment with ``num_envs`` arenas."""
         return lambda: make_env(
             num_envs=num_envs, seed=0 if seed is None else seed, device=device, **self.config
         )
 
     def get_env_transforms(self, env: EnvBase) -> list[Transform]:
-        """What puts the features of a robot in a row."""
+        """The transforms that concatenate a robot's features."""
         fov, fpr, net = (("agents", "observation", key) for key in ("fov", "fpr", "net"))
         flat = [("agents", "flat", key) for key in ("fov", "fpr")]
         return [
@@ -68,7 +69,7 @@ class ExplorationTask(TaskClass):
         return False
 
     def max_steps(self, env: EnvBase) -> int:
-        """Steps of an episode."""
+        """Length of an episode in steps."""
         return self.config["max_steps"]
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:

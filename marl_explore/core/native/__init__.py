@@ -1,8 +1,8 @@
-"""The one hot kernel in C: frontier tables on the CPU, where the package was built with a compiler.
+"""The C kernel for frontier tables on the CPU, if the package was installed with a compiler.
 
-The C file is built as an optional extension when the package is installed and loaded with ctypes,
-here without torch; ``native.operator`` hands it tensors, ``robot.frontier`` arrays. Without it
-everything works all the same. ``marl_explore.backend()`` tells which is in use and why.
+The C file is built as an optional extension when the package is installed, and loaded here with
+ctypes, without torch. ``native.operator`` passes tensors to it, ``robot.frontier`` arrays. Without
+it everything still works. ``marl_explore.backend()`` says which backend is in use and why.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pathlib import Path
 
 from marl_explore.config.constants import Normalization
 
-_NO_MEMORY, _OUTSIDE = 1, 2  # what the C function returns beside 0
+_NO_MEMORY, _OUTSIDE = 1, 2  # error codes of the C function
 MODES: dict[Normalization | None, int] = {None: 0, "relative": 1, "proximity": 2, "absolute": 3}
-"""What the kernel calls the normalisations."""
+"""The kernel's numbers for the normalisations."""
 
 
 @lru_cache
@@ -40,13 +40,13 @@ def _library() -> ctypes.CDLL | OSError:
 
 
 def missing() -> str | None:
-    """Why the native kernel cannot be used; None where it can."""
+    """Why the native kernel cannot be used; None if it can."""
     library = _library()
     return str(library) if isinstance(library, OSError) else None
 
 
 def backend() -> str:
-    """What computes frontier tables of CPU tensors, and why, in one line."""
+    """The backend for frontier tables of CPU tensors, and why it is used, in one line."""
     reason = missing()
     return f"torch: the native kernel is missing, {reason}" if reason else "native: C kernel"
 
@@ -55,7 +55,7 @@ def kernel() -> Callable[..., int]:
     """The C function.
 
     Raises:
-        RuntimeError: when there is none.
+        RuntimeError: when it cannot be used.
     """
     library = _library()
     if isinstance(library, OSError):
@@ -64,8 +64,8 @@ def kernel() -> Callable[..., int]:
 
 
 def check(failed: int, height: int, width: int) -> None:
-    """Refuse what the C function returns when it fails."""
+    """Raise an error for an error code of the C function."""
     if failed == _NO_MEMORY:
-        raise MemoryError(f"no memory for frontier tables of {height} x {width} cells")
+        raise MemoryError(f"not enough memory for frontier tables of {height} x {width} cells")
     if failed == _OUTSIDE:
         raise ValueError(f"a position is outside its map of {height} x {width} cells")

@@ -1,4 +1,4 @@
-"""The kernel as a torch operator on whole batches."""
+"""The native kernel as a torch operator on whole batches."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from marl_explore.config.constants import (
 from marl_explore.core import native
 
 ROBOTS_PER_THREAD = 512
-"""Fewer are done before another thread has started."""
+"""Smaller batches finish before another thread has started."""
 
-# defined without the wrapper of custom_op, which takes longer than the table of a few arenas
+# defined without custom_op, whose wrapper takes longer than the tables of a few arenas
 _OPERATOR = "marl_explore::frontier_table"
 torch.library.define(_OPERATOR, "(Tensor grid, Tensor position, int mode, bool rows) -> Tensor")
 
@@ -34,7 +34,7 @@ def _frontier_table(grid: Tensor, position: Tensor, mode: int, rows: bool) -> Te
     function = native.kernel()
 
     def run(first: int, last: int) -> int:
-        return function(  # ctypes lets other threads run meanwhile
+        return function(  # ctypes releases the GIL
             grid.data_ptr() + first * height * width,
             position.data_ptr() + first * 2 * position.element_size(),
             last - first,
@@ -89,14 +89,14 @@ def feature_table(
     normalize: Normalization | None = "relative",
     rows: bool = True,
 ) -> Tensor:
-    """``core.frontier.feature_table`` in C: the same numbers to the last bit, on the CPU.
+    """``core.frontier.feature_table`` in C, bit-identical, on the CPU.
 
     Args:
         grid: maps, int8 [*B, H, W].
         position: int64 [*B, 2], inside the maps.
         normalize: "relative", "proximity", "absolute" or None.
-        rows: whether small grids may be searched a row at a time, the fast way; False searches
-            all of them by queue, as on compilers without vectors.
+        rows: whether small grids may be searched a row at a time, which is fast; False searches
+            all grids with a queue, as with compilers without vector extensions.
 
     Returns:
         float32 [*B, 8, 3].
@@ -104,7 +104,7 @@ def feature_table(
     Raises:
         ValueError: for an unknown normalisation, entries of another dtype, shape or device, or a
             position outside its map.
-        RuntimeError: when there is no kernel.
+        RuntimeError: when the kernel cannot be used.
     """
     if normalize not in NORMALIZATIONS:
         raise ValueError(f"normalize={normalize!r} is not one of {NORMALIZATIONS}")

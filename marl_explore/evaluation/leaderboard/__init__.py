@@ -1,4 +1,4 @@
-"""Policies on suites: measured cell by cell, ranked, and written as tables and one HTML report."""
+"""The leaderboard: policies on suites, measured, ranked, and written as tables and a report."""
 
 from __future__ import annotations
 

@@ -28,19 +28,19 @@ from marl_explore.utils import records
 from marl_explore.utils.files import write_text
 
 FORMAT = 2
-"""Counts up when ``measured`` keeps something else."""
+"""To be increased when ``measured`` changes its content."""
 HOW = ("format", "code")
-"""Settings that say how a cell was measured: one that differs in no other is measured anew."""
+"""Settings that say how a cell was measured: if only these differ, it is measured again."""
 BOUND = "bound"
 """In place of a policy: ``planners.counting_bound``."""
 
 Result = dict[str, Any]
-"""The content of a cell's file; ``measure`` says what it holds."""
+"""The content of a cell's file; see ``measure``."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What is measured; everything that its numbers depend on is in ``settings``."""
+    """A policy on a suite; ``settings`` has everything that its numbers depend on."""
 
     policy: str
     suite: Suite
@@ -50,7 +50,7 @@ class Cell:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What two cells with the same numbers have in common."""
+        """Everything that a cell's numbers depend on."""
         return {
             "format": FORMAT,
             "policy": self.policy,
@@ -67,12 +67,12 @@ class Cell:
 
     @property
     def trained(self) -> bool:
-        """Whether the policy was trained, and is no planner."""
+        """Whether the policy was trained and is not a planner."""
         return self.policy not in (*PLANNERS, BOUND)
 
     @property
     def file_name(self) -> str:
-        """A name of its own, whatever the policy's is."""
+        """A unique file name, whatever characters the policy's name has."""
         name = re.sub(r"[^\w.-]+", "_", self.policy)
         if name != self.policy:
             name += "-" + hashlib.sha256(self.policy.encode()).hexdigest()[:8]
@@ -80,18 +80,18 @@ class Cell:
 
 
 def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> dict[Cell, Result]:
-    """The results of all cells: those that the folder holds are read, the others measured.
+    """The results of all cells: those in the folder are read, the others measured.
 
-    A cell that was measured by other code counts as one the folder does not hold.
+    A cell that was measured by other code is measured again.
 
     Args:
-        folder: where every cell is kept as soon as it is measured.
+        folder: where every cell is written as soon as it is measured.
         cells: what to measure.
         progress: whether to show a progress bar.
 
     Raises:
         ValueError: before anything is measured, when a policy cannot act on a suite, or a file of
-            the folder was made under other settings or is no cell.
+            the folder was made under other settings or is not a cell.
     """
     cells = list(dict.fromkeys(cells))
     for cell in cells:
@@ -107,7 +107,7 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
         initial=len(results),
         unit="cell",
         disable=not progress,
-        mininterval=0.2 if terminal else 15,  # a log file wants few lines
+        mininterval=0.2 if terminal else 15,  # few lines in a log file
     ) as bar:
         for cell in cells:
             if cell not in results:
@@ -122,13 +122,13 @@ def read(path: Path, cell: Cell) -> Result | None:
     """The result in a file; None when it was measured by other code.
 
     Raises:
-        ValueError: when it is none, or that of another cell, naming the difference.
+        ValueError: when the file is not a cell, or that of another cell, naming the difference.
     """
     try:
         result: Result = json.loads(path.read_text())
         made = dict(result["settings"])
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is no cell of a leaderboard: delete it ({error!r})") from error
+        raise ValueError(f"{path} is not a leaderboard cell: delete it ({error!r})") from error
     wanted = cell.settings
     different = [
         f"{name} was {made.get(name)!r} and now is {value!r}"
@@ -163,7 +163,7 @@ def measure(cell: Cell) -> Result:
 
 
 def _played(cell: Cell) -> dict[str, Any]:
-    """What a policy sees, and how it did."""
+    """What a policy sees, and its results."""
     policy = find_policy(cell.policy, cell.suite.config)
     episodes = record(
         policy,
@@ -181,7 +181,7 @@ def _played(cell: Cell) -> dict[str, Any]:
 
 
 def _bound(cell: Cell) -> dict[str, Any]:
-    """The fewest steps that could be, which nobody took: no episode, no other measure."""
+    """The lower bound on the number of steps; there are no episodes and no other measures."""
     config = cell.suite.config
     env = ExplorationEnv(
         config, cell.num_arenas, arenas=cell.suite.id, seed=cell.seed, stream=TEST_STREAM
@@ -196,12 +196,12 @@ def _bound(cell: Cell) -> dict[str, Any]:
 
 
 def measured(episodes: Episodes) -> dict[str, Any]:
-    """What a cell keeps of its episodes.
+    """The data that a cell keeps from its episodes.
 
     Returns:
         "scores" by measure and arena; "shares" by measure: counts of events by arena, part and
-        whole; over steps "coverage" of the largest map (mean, quartiles) and mean "cells_sent" so
-        far; "enlargements": how many there were of 0, 1, 2 ... cells; "max_discovery" (e_max).
+        whole; over steps, "coverage" of the largest map (mean, quartiles) and mean "cells_sent" so
+        far; "enlargements": how many added 0, 1, 2 ... cells; "max_discovery" (e_max).
     """
     coverage = metrics.coverage(episodes)["largest"].numpy()
     sent = metrics.cells_sent(episodes).double().mean(0)

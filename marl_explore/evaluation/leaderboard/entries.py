@@ -1,4 +1,4 @@
-"""What a leaderboard compares: names, and the policies behind each."""
+"""Entries of a leaderboard: names, and the policies behind each."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ class Entry(NamedTuple):
     """A row of the leaderboard."""
 
     name: str
-    """How the row is called."""
+    """Name of the row."""
     policies: tuple[str, ...]
     """Planner, or policies as ``load_policy`` takes them, one per training seed."""
 
 
 def parse_entries(words: Sequence[str]) -> list[Entry]:
-    """Entries from words: "POLICY", or "NAME=POLICY,POLICY,..." for the seeds of one training.
+    """Entries from words: "POLICY", or "NAME=POLICY,POLICY,..." for several training seeds.
 
     Raises:
-        ValueError: for a name that comes twice or names nothing.
+        ValueError: for a name that appears twice or has no policy.
     """
     entries: list[Entry] = []
     for word in words:
@@ -28,6 +28,6 @@ def parse_entries(words: Sequence[str]) -> list[Entry]:
         if not name or not all(entry.policies):
             raise ValueError(f"policies={word!r} is not allowed: use NAME=POLICY,POLICY,...")
         if name in [other.name for other in entries]:
-            raise ValueError(f"policies={name!r} comes twice: give each its own name, NAME=POLICY")
+            raise ValueError(f"policies={name!r} is given twice: use a name for each, NAME=POLICY")
         entries.append(entry)
     return entries

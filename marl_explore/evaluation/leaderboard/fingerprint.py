@@ -26,7 +26,7 @@ ACTING = (
     "policies/networks",
     "policies/policy.py",
 )
-"""What planners, and what trained policies, have beside the rules and the measures."""
+"""Modules of planners and of trained policies, in addition to the rules and the measures."""
 
 
 def sources(planner: bool) -> list[Path]:
@@ -59,7 +59,7 @@ def _source(file: Path) -> str:
 
 
 def _statements(source: str) -> str:
-    """Source without comments, docstrings and other bare strings."""
+    """Source code without comments, docstrings and other bare strings."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)

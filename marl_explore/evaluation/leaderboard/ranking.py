@@ -1,4 +1,4 @@
-"""Rows of a leaderboard: what the cells of an entry on one suite come to."""
+"""Rows of a leaderboard: statistics of an entry's cells on one suite."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RANKED_BY = "steps_to_100"
 
 
 def title(rows: Sequence[Row]) -> str:
-    """The suite of rows, and how it was measured."""
+    """The suite of some rows, and how it was measured."""
     settings = rows[0].settings
     return f"{settings['suite']}: {settings['num_arenas']} arenas, {settings['steps']} steps"
 
@@ -33,7 +33,7 @@ class Row:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What it was measured on; but for the policy that of every seed."""
+        """What it was measured on; the same for every seed, except the policy."""
         return self.results[0]["settings"]
 
     @property
@@ -43,7 +43,7 @@ class Row:
 
     @property
     def reference(self) -> bool:
-        """Whether it may see what no robot can, and so stands apart."""
+        """Whether it uses information that no robot has, and is ranked separately."""
         return self.results[0]["reference"]
 
     @property
@@ -57,23 +57,23 @@ class Row:
         return self.results[0]["planner"]
 
     def scores(self, measure: str) -> Array:
-        """A measure of every seed on every arena, [S, A]."""
+        """A measure for every seed and arena, [S, A]."""
         return np.array([result["scores"][measure] for result in self.results], np.float64)
 
     def share(self, name: str) -> tuple[Array, Array]:
-        """Events of a kind and events in all, of every seed on every arena, [S, A] each."""
+        """Counts of a kind of event and of all events, for every seed and arena, [S, A] each."""
         counts = [result["shares"][name] for result in self.results]
         part, whole = (np.array([c[key] for c in counts], np.float64) for key in ("part", "whole"))
         return part, whole
 
 
 def rank(entries: Mapping[str, Sequence[Result]]) -> list[Row]:
-    """The rows of one suite by mean steps to 100 %, references last.
+    """The rows of one suite, ordered by mean steps to 100 %, references last.
 
-    Beside the means of all measures a row has for these steps "_low" and "_high" (interval of the
-    mean), "_iqm", "_iqm_low" and "_iqm_high", "_p90"; and against the planner with the fewest that
-    is no reference "difference", "difference_low", "difference_high" (paired) and "improvement"
-    (probability of fewer steps), NaN for that planner itself and without one.
+    In addition to the means of all measures, a row has for these steps "_low" and "_high" (interval
+    of the mean), "_iqm", "_iqm_low", "_iqm_high" and "_p90". Compared with the fastest planner that
+    is not a reference, it has "difference", "difference_low", "difference_high" (paired) and
+    "improvement" (probability of fewer steps); NaN for that planner itself and without one.
     """
     rows = [Row(name, results) for name, results in entries.items()]
     rows.sort(key=_place)
@@ -84,7 +84,7 @@ def rank(entries: Mapping[str, Sequence[Result]]) -> list[Row]:
 
 
 def _place(row: Row) -> tuple[bool, float, float]:
-    """What rows are ordered by; coverage decides between those that never complete a map."""
+    """Sort key of rows; coverage decides between those that never complete a map."""
     steps = row.scores(RANKED_BY).mean()
     coverage = row.scores("final_largest_coverage").mean() if row.played else 0
     return row.reference, float(steps), -float(coverage)

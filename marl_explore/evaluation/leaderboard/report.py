@@ -1,4 +1,4 @@
-"""The leaderboard as one HTML file with its figures inside, which needs nothing else."""
+"""The leaderboard as one self-contained HTML file with its figures."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ CAPTIONS = {
     "coverage": "Coverage of the largest map over steps",
     "communication": "How much robots communicate, and how much of it is useful, per arena: mean, "
     "middle half (thick), 5 to 95 % (thin)",
-    "enlargements": "What merges add to maps; right of the line more than any move could discover",
-    "tradeoff": "Coverage against the cells that were sent for it",
+    "enlargements": "Cells that merges add to maps; right of the line, more than any move can "
+    "discover",
+    "tradeoff": "Coverage against the number of cells sent",
 }
 
 
@@ -82,7 +83,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _figures(rows: Sequence[Row]) -> dict[str, str]:
-    """The figures of a suite as addresses that hold the whole picture; none of no rows."""
+    """The figures of a suite as data URLs; none if there are no rows."""
     if not rows:
         return {}
     with tempfile.TemporaryDirectory() as folder:
@@ -116,7 +117,7 @@ def _shares(row: Row) -> dict[str, torch.Tensor]:
 
 
 def _enlargements(row: Row) -> torch.Tensor:
-    """One entry per enlargement, from how many there were of each size."""
+    """One entry per enlargement, from the counts of each size."""
     counts = (torch.tensor(r["enlargements"], dtype=torch.int64) for r in row.results)
     return torch.cat([torch.arange(len(c)).repeat_interleave(c) for c in counts])
 

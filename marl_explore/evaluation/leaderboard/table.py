@@ -44,26 +44,26 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
 """Columns of the printed table; the CSV and JSON files hold every measure."""
 
 MEANINGS = {
-    "steps to 95 %, steps to 100 %": "mean steps until the largest map covers that share of the "
-    "target cells, never dropped when not reached (then one more than the steps of an episode); in "
-    "brackets the 95 % bootstrap interval over seeds and arenas",
-    "p90": "9 of 10 arenas take at most so many steps to 100 %",
+    "steps to 95 %, steps to 100 %": "mean number of steps until the largest map covers that share "
+    "of the target cells; if it is not reached, it counts as one more than the steps of an "
+    "episode; in brackets the 95 % bootstrap interval over seeds and arenas",
+    "p90": "9 of 10 arenas take at most this many steps to 100 %",
     "complete": "share of the arenas in which some map became complete",
     "coverage at 20, 50, 150": "mean coverage of the largest map at that step",
     "communicate": "communicate actions / all actions, before a map is complete",
     "useful": "communicate actions that enlarged the sender's map / communicate actions, over all "
     "steps of the episode",
     "overlap": "own discoveries of all robots / cells of the union - 1",
-    "to best planner": "steps to 100 % minus those of the fastest planner that is no reference, on "
-    "the same arenas; less than 0 is faster",
-    "below the line": "references, which may see what no robot can; what they share costs nothing, "
-    "and the union counts as the map of each robot; bound: no team takes fewer steps",
+    "to best planner": "steps to 100 % minus those of the fastest planner that is not a reference, "
+    "on the same arenas; less than 0 is faster",
+    "below the line": "references, which use information that no robot has; sharing costs them "
+    "nothing, and the union counts as the map of each robot; bound: no team can take fewer steps",
 }
-"""What the columns say."""
+"""The meanings of the columns."""
 
 
 def blocks(rows: Sequence[Row]) -> list[list[list[str]]]:
-    """The shown cells: of those that compete, then of the references."""
+    """The table cells: first the competing rows, then the references."""
     groups = ([row for row in rows if row.reference is reference] for reference in (False, True))
     return [
         [[cell(row) for cell in COLUMNS.values()] for row in group] for group in groups if group

@@ -1,6 +1,6 @@
 """Figures and animations (matplotlib): one function each, in one style.
 
-Every function writes the format that its file's ending names, such as .png, .svg or .pdf.
+The file's ending, such as .png, .svg or .pdf, selects the format.
 """
 
 from __future__ import annotations

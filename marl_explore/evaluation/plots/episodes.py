@@ -1,4 +1,4 @@
-"""One episode's arena, maps and paths, as a figure and as an animation."""
+"""Arena, maps and paths of one episode, as a figure and as an animation."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def episode_animation(
     """A GIF or MP4 of one arena's episode: the true arena, and every robot's own map.
 
     Args:
-        steps: observations of one episode in order, each with batch [B] as an env returns them.
-        path: file ending in .gif, or in .mp4 where ffmpeg is on the PATH.
+        steps: observations of one episode in order, each with batch [B], as an env returns them.
+        path: file ending in .gif, or in .mp4 if ffmpeg is on the PATH.
         arena: row of the batch to show.
         frames_per_second: speed.
 
@@ -56,13 +56,13 @@ def _movie_writer(path: Path, frames_per_second: int) -> AbstractMovieWriter:
         raise ValueError(f"path={str(path)!r} is not allowed: it must end in .gif or .mp4")
     if not FFMpegWriter.isAvailable():
         raise RuntimeError(
-            f"path={str(path)!r} cannot be written: .mp4 takes ffmpeg on the PATH, .gif nothing"
+            f"path={str(path)!r} cannot be written: .mp4 needs ffmpeg on the PATH, .gif does not"
         )
     return FFMpegWriter(fps=frames_per_second)
 
 
 def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int = 0) -> Path:
-    """The last frame of ``episode_animation`` with the robots' whole paths."""
+    """The last frame of ``episode_animation``, with the robots' complete paths."""
     frames = [_Frame(step, arena) for step in steps]
     with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
@@ -71,7 +71,7 @@ def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int
 
 
 class _Frame:
-    """What is drawn of one observation, as arrays."""
+    """The data of one observation to draw, as arrays."""
 
     def __init__(self, observation: TensorDictBase, arena: int) -> None:
         agents = observation.get("agents")
@@ -110,7 +110,7 @@ def _colored(panels: Sequence[Axes]) -> Iterator[tuple[Axes, str]]:
 
 
 def _draw_grid(axes: Axes, grid: np.ndarray, title: str, color: str = "") -> None:
-    """A grid of -1 unknown, 0 free, 1 occupied; of a robot, what is free in its colour."""
+    """Draw a grid of -1 unknown, 0 free, 1 occupied; a robot's free cells in its colour."""
     axes.clear()
     shades = [UNKNOWN_COLOR, _pale(color) if color else FREE_COLOR, OBSTACLE_COLOR]
     axes.imshow(grid, cmap=ListedColormap(shades), vmin=-1, vmax=1)

@@ -1,4 +1,4 @@
-"""Figures of policies side by side on the same arenas."""
+"""Figures that compare policies on the same arenas."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from marl_explore.evaluation.plots.style import STYLE, draw_band, legend, line_s
 from marl_explore.evaluation.stats import Band, middle_half, seed_mean
 
 MARKED_STEPS = (20, 50, 150)
-"""Steps with a dot on the lines of ``tradeoff_figure``."""
+"""Steps that are marked with a dot in ``tradeoff_figure``."""
 
 
 def coverage_figure(
@@ -25,13 +25,13 @@ def coverage_figure(
     """Coverage of the largest map over steps, a line per policy with the middle half shaded.
 
     Args:
-        curves: per policy [B, T + 1] as ``metrics.coverage`` gives them, or ``stats.middle_half``
-            of it; shares of the target cells.
+        curves: per policy [B, T + 1], as from ``metrics.coverage``, or ``stats.middle_half`` of
+            it; shares of the target cells.
         path: image file to write.
-        covers: what the shares are of.
+        covers: label of the vertical axis.
     """
     with matplotlib.rc_context(STYLE):
-        # without pyplot: a user's backend and open figures stay as they are
+        # without pyplot, so that a user's backend and open figures are not affected
         figure = Figure(figsize=(7, 3.6), layout="constrained")
         axes = figure.subplots()
         for name, style in line_styles(curves):
@@ -52,10 +52,10 @@ def coverage_figure(
 
 
 def lab_figure(coverage: Mapping[str, Tensor], path: str | Path) -> Path:
-    """The best single map and all maps merged over the steps of robots in the lab.
+    """Coverage of the best map and of the merged maps over the steps of robots in the lab.
 
     Args:
-        coverage: "best" and "merged", float [A, T + 1], as ``lab.LabRecord.coverage`` gives them.
+        coverage: "best" and "merged", float [A, T + 1], as from ``lab.LabRecord.coverage``.
         path: image file to write.
     """
     curves = {"best map": coverage["best"], "merged map": coverage["merged"]}
@@ -69,7 +69,7 @@ def communication_figure(shares: Mapping[str, Mapping[str, Tensor]], path: str |
 
     Args:
         shares: per policy "communication_share" and "useful_share", float [B] each, such as the
-            ``each`` of ``metrics.shares``; NaN, where nobody communicated, is left out.
+            ``each`` of ``metrics.shares``; NaN (no communication) is left out.
         path: image file to write.
     """
     panels = {
@@ -104,13 +104,13 @@ def communication_figure(shares: Mapping[str, Mapping[str, Tensor]], path: str |
 def seeds_figure(
     scores: Mapping[str, Sequence[float]], path: str | Path, label: str, scale: float = 1
 ) -> Path:
-    """One measure of trainings side by side: a dot per seed, their mean and its interval.
+    """One measure of several trainings: a dot per seed, and the mean with its interval.
 
     Args:
-        scores: per training the measure of every seed [S]; with one seed there is no interval.
+        scores: per training, the measure of every seed [S]; one seed has no interval.
         path: image file to write.
         label: of the horizontal axis.
-        scale: what scores are multiplied by.
+        scale: factor for the scores.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7, 1 + 0.28 * len(scores)), layout="constrained")
@@ -125,7 +125,7 @@ def seeds_figure(
         axes.set(
             xlabel=label,
             ylim=(len(scores) - 0.4, -0.6),
-            title="a dot per seed; mean over seeds with its 95 % interval",
+            title="one dot per seed; mean over seeds with its 95 % interval",
         )
         axes.set_yticks(range(len(scores)), list(scores))
         axes.grid(axis="x", alpha=0.25)
@@ -135,14 +135,14 @@ def seeds_figure(
 def enlargement_figure(
     enlargements: Mapping[str, Tensor], max_discovery: int, path: str | Path
 ) -> Path:
-    """Distribution of what merges add to maps: the share of them that add more than x cells.
+    """Distribution of what merges add to maps: the share of merges that add more than x cells.
 
-    Where a curve crosses the line at e_max it reads the share of merges that added more than any
-    move could have discovered.
+    The value of a curve at e_max is the share of merges that added more than any move could have
+    discovered.
 
     Args:
-        enlargements: per policy int [any], as ``metrics.enlargements`` gives them, zeros included;
-            a policy without any is left out.
+        enlargements: per policy int [any], as from ``metrics.enlargements``, including zeros; a
+            policy without any is left out.
         max_discovery: e_max (cells).
         path: image file to write.
     """
@@ -164,7 +164,7 @@ def enlargement_figure(
         )
         axes.set(
             xlabel="cells",
-            ylabel="merges that add more than so many\ncells to a member's map (%)",
+            ylabel="merges that add more than this\nto a member's map (%)",
         )
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
@@ -174,10 +174,10 @@ def enlargement_figure(
 
 
 def tradeoff_figure(curves: Mapping[str, tuple[Tensor, Tensor]], path: str | Path) -> Path:
-    """Coverage against what was sent for it, a line per policy from the reset to the last step.
+    """Coverage against cells sent, a line per policy from the reset to the last step.
 
     Args:
-        curves: per policy cells sent so far by all robots and coverage of the largest map (share
+        curves: per policy, cells sent so far by all robots and coverage of the largest map (share
             of the target cells), means over arenas, float [T + 1] each.
         path: image file to write.
     """
@@ -194,7 +194,7 @@ def tradeoff_figure(curves: Mapping[str, tuple[Tensor, Tensor]], path: str | Pat
             ylim=(0, 102),
             title=f"means over arenas; dots at steps {', '.join(map(str, MARKED_STEPS))}",
         )
-        axes.set_xscale("symlog", linthresh=100)  # 0 belongs to it: robots that never communicate
+        axes.set_xscale("symlog", linthresh=100)  # includes 0, for robots that never communicate
         axes.set_xlim(left=-5)
         axes.grid(alpha=0.25)
         legend(figure, axes)

@@ -1,4 +1,4 @@
-"""What all figures share: colours, line styles, and how they are written."""
+"""Shared by all figures: colours, line styles, and writing to files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "figure.dpi": 100,
     "savefig.dpi": 150,
-    "svg.hashsalt": "marl_explore",  # the same data give the same file
+    "svg.hashsalt": "marl_explore",  # so that the same data give the same file
 }
 
 # yellow is too faint for a line on white
@@ -31,30 +31,30 @@ _LINE_COLORS = [color for color in COLORS if color != "#F0E442"]
 
 
 def line_styles(names: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each name with the colour and dashes of its line; colours come again with other dashes."""
+    """Each name with the colour and dashes of its line; colours repeat with other dashes."""
     styles = cycle(product(("-", "--", ":"), _LINE_COLORS))
     for name, (dashes, color) in zip(names, styles, strict=False):
         yield name, {"color": color, "linestyle": dashes, "linewidth": 1.8, "label": name}
 
 
 def draw_band(axes: Axes, x: Array, band: Band, style: dict[str, Any]) -> None:
-    """A line with what lies between its two others shaded."""
+    """Draw a line with the band around it shaded."""
     axes.plot(x, band.value, **style)
     if not np.array_equal(band.low, band.high):
         axes.fill_between(x, band.low, band.high, color=style["color"], alpha=0.15, linewidth=0)
 
 
 def legend(figure: Figure, axes: Axes) -> None:
-    """Names beside the panels, where they hide nothing."""
+    """A legend next to the panels, where it hides nothing."""
     figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure in the format of the file's ending."""
+    """Write a figure in the format that the file's ending selects."""
     path = Path(path)
     kind = path.suffix.removeprefix(".")
     with atomic_write(path) as unfinished:
-        # an SVG else holds the time it was made
+        # otherwise an SVG holds the time of its creation
         metadata = {"Date": None} if kind == "svg" else None
         figure.savefig(unfinished, format=kind, metadata=metadata)
     return path

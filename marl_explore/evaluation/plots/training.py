@@ -19,7 +19,7 @@ MEASURES = {
     "final_coverage": "coverage at an episode's end",
     "communication_share": "communicate actions / all actions",
 }
-"""Measures of the training that are shown by default, and their labels."""
+"""Training metrics that are shown by default, and their labels."""
 
 
 def training_figure(
@@ -31,7 +31,7 @@ def training_figure(
     """Training curves: mean over seeds, with its 95 % bootstrap interval shaded.
 
     Args:
-        runs: per name the run folders of its seeds; with one seed nothing is shaded.
+        runs: per name, the run folders of its seeds; one seed has no interval.
         path: image file to write.
         measures: names of docs/metrics.md ("Training") and the labels of their panels.
         steps: label of the horizontal axis.
@@ -67,10 +67,10 @@ def _curves(folders: Sequence[str | Path], measure: str) -> tuple[Array, Array]:
 
 
 def _scalars(folder: Path, measure: str) -> Array:
-    """Frames and values of one run, float64 [updates, 2], without those that were not measured."""
+    """Frames and values of one run, float64 [updates, 2], without unmeasured ones."""
     file = folder / "scalars" / f"{measure}.csv"
     if not file.is_file():
-        raise ValueError(f"{str(folder)!r} is no run folder with {measure!r}: there is no {file}")
+        raise ValueError(f"{str(folder)!r} is not a run folder with {measure!r}: no {file}")
     with file.open(newline="") as rows:
         values = np.array(list(csv.reader(rows)), np.float64)
     values = values[np.isfinite(values[:, 1])]

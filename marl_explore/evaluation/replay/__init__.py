@@ -1,4 +1,4 @@
-"""Replays: episodes as one HTML file that plays in any browser, without a network."""
+"""Replays: episodes as one HTML file that plays in any browser, offline."""
 
 from marl_explore.evaluation.replay.page import write_replay
 

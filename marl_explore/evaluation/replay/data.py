@@ -1,4 +1,4 @@
-"""What a replay keeps of an episode, as numbers ready for JSON."""
+"""The data of an episode in a replay, as numbers for JSON."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from marl_explore.transforms import FrontierReachability
 def episode_data(
     steps: Sequence[TensorDictBase], config: ArenaConfig, arena: int = 0
 ) -> dict[str, Any]:
-    """One arena's episode as plain numbers; lists over time have T + 1 entries, the reset's first.
+    """One arena's episode as plain numbers; lists over time have T + 1 entries, from the reset on.
 
-    A cell once known stays known and reads as the arena does, so all maps of a robot are one
-    number per cell: the step from which it is known, T + 1 for never. Cells are row * W + column.
+    A known cell stays known and agrees with the arena, so all maps of a robot are one number per
+    cell: the step from which it is known, or T + 1 if never. Cells are row * W + column.
 
     Args:
         steps: observations of an episode in order with the actions that led to them, each with
@@ -32,9 +32,9 @@ def episode_data(
         arena: row of the batch.
 
     Raises:
-        ValueError: when there are no steps, the row does not exist, the sizes are not those of
+        ValueError: when there are no steps, the row does not exist, the sizes differ from
             ``config``, or the maps are not those of one episode.
-        KeyError: naming an entry that a step does not have.
+        KeyError: naming an entry that a step lacks.
     """
     if not steps:
         raise ValueError("steps is empty: an episode has at least the observation of its reset")
@@ -75,7 +75,7 @@ def _check_size(maps: Tensor, config: ArenaConfig) -> None:
 
 
 def _check_order(maps: Tensor, obstacles: Tensor, since: Tensor) -> None:
-    """Refuse maps [T + 1, N, H, W] that ``since`` [N, H, W] and the arena do not give back."""
+    """Check that ``since`` [N, H, W] and the arena reproduce the maps [T + 1, N, H, W]."""
     time = torch.arange(len(maps)).view(-1, 1, 1, 1)
     known = torch.where(since <= time, obstacles.to(maps.dtype), UNKNOWN)
     if not known.equal(maps):
@@ -117,7 +117,7 @@ def _coverage(maps: Tensor, target: Tensor) -> dict[str, Any]:
 
 
 def _frontiers(maps: Tensor, position: Tensor) -> dict[str, Any]:
-    """FPR in cells: number and mean length of the paths to frontiers per robot and direction."""
+    """FPR in cells: number and mean length of paths to frontiers, per robot and direction."""
     table = FrontierReachability(normalize=None).compute(maps, position)
-    length = (100 * table[..., 1].double()).round() / 100  # short numbers
+    length = (100 * table[..., 1].double()).round() / 100  # fewer digits
     return {"paths": table[..., 0].int().tolist(), "path_length": length.tolist()}

@@ -1,4 +1,4 @@
-"""A replay's page: data, style and player joined into one file."""
+"""The page of a replay: data, style and player in one file."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def write_replay(
         The path.
 
     Raises:
-        ValueError: when there is no episode, or one of them is not what ``config`` and ``arena``
-            say; then nothing is written.
+        ValueError: when there is no episode, or one of them does not match ``config`` and
+            ``arena``; nothing is written.
     """
     if not episodes:
         raise ValueError("episodes is empty: a replay shows at least one")
@@ -68,5 +68,5 @@ def _asset(name: str) -> str:
 
 
 def _script_json(value: object) -> str:
-    """JSON that can stand inside a script element, which no text in it can close."""
+    """JSON for a script element, escaped so that no text in it can close the element."""
     return json.dumps(value, separators=(",", ":")).replace("<", r"\u003c")

@@ -9,7 +9,8 @@ losses are computed in full precision.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.policies.networks.base import CriticInput, Network
@@ -17,6 +18,9 @@ from marl_explore.policies.networks.cnn import CNN
 from marl_explore.policies.networks.deepset import DeepSet
 from marl_explore.policies.networks.inputs import OBSERVATION_KEYS, PAPER_INPUTS
 from marl_explore.policies.networks.mlp import MLP
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "CNN",
@@ -27,8 +31,8 @@ __all__ = [
     "CriticInput",
     "DeepSet",
     "Network",
+    "NetworkSettings",
     "network_from_json",
-    "settings_from_json",
 ]
 
 NETWORKS: dict[str, type[Network]] = {kind.name: kind for kind in (MLP, CNN, DeepSet)}
@@ -55,14 +59,24 @@ def network_from_json(name: str, options: Mapping[str, Any]) -> Network:
     return kind(**values)
 
 
-def settings_from_json(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with an arena and a network as arguments, from the output of ``to_json``.
+class NetworkSettings:
+    """Dataclasses of settings with an arena and a network, which can be written as JSON."""
 
-    Raises:
-        KeyError, TypeError, ValueError: when the fields are not such settings.
-    """
-    values: dict[str, Any] = {
-        key: tuple(v) if isinstance(v, list) else v for key, v in fields.items()
-    }
-    network = network_from_json(values["network"], values.pop("options"))
-    return {**values, "arena": ArenaConfig(**values["arena"]), "network": network}
+    network: Network
+
+    def to_json(self) -> dict[str, Any]:
+        """The settings as JSON values, the network as its name and its options."""
+        return asdict(self) | self.network.to_json()  # type: ignore[call-overload]
+
+    @classmethod
+    def from_json(cls, fields: Mapping[str, Any]) -> Self:
+        """The inverse of ``to_json``.
+
+        Raises:
+            KeyError, TypeError, ValueError: when the fields are not such settings.
+        """
+        values: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()
+        }
+        network = network_from_json(values["network"], values.pop("options"))
+        return cls(**values | {"arena": ArenaConfig(**values["arena"]), "network": network})

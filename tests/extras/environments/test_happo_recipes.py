@@ -78,7 +78,7 @@ def test_happo_s_first_actor_learns_as_mappo_s_does_and_the_others_do_not(recipe
     """Its factor is 1; after it, ratios of the actors before weigh the samples."""
     happo, mappo = (learner(recipe, sequential=sequential) for sequential in (True, False))
     order = happo.loss.names[::-1]
-    happo.loss.update_order = lambda: order
+    happo.loss.update_order = lambda *_: order
     batch = collect(happo)
     for run in (happo, mappo):
         run.update(batch.clone())

@@ -25,6 +25,7 @@ RAY = RunConfig(collector="ray", workers=2, checkpoint_every=0, validate_every=0
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster():
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     yield
     ray.shutdown()
 
@@ -80,6 +81,7 @@ def test_a_cluster_that_is_too_small_ends_the_run_with_a_checkpoint(tmp_path):
     assert len(list_checkpoints(folder)) == 1
 
 
+@pytest.mark.filterwarnings("ignore:RayCollector iteration started before weight sync")
 def test_a_trained_policy_acts_in_torchrls_own_ray_collector():
     workers = [partial(ExplorationEnv, num_envs=4, first_arena=first) for first in (0, 4)]
     own = {"trust_policy": True, "auto_register_policy_transforms": False}

@@ -129,7 +129,7 @@ def test_it_is_an_mcap_file_of_standard_messages(team):
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="is no recording"):
+    with pytest.raises(ValueError, match="is not a recording"):
         list(messages(tmp_path))
     with Recorder(tmp_path / "bag", TEAM) as recorder:
         recorder.receive(0, Pose(0.0, 0, 0.0, 0.0, 0.0), 0.0)

@@ -16,7 +16,6 @@ import importlib.util, math, sys
 for name in ("torch", "tensordict", "torchrl", "scipy"):
     assert importlib.util.find_spec(name) is None, name
 import numpy as np
-from marl_explore.policies.networks import MLP
 from marl_explore import ArenaConfig
 import marl_explore.ros2.convert, marl_explore.ros2.parameters
 from marl_explore.robot import BarrierClock, ExportedPolicy, Pose, RobotCore, Scan

@@ -116,7 +116,7 @@ def test_a_dry_run_sends_no_velocity_and_broken_letters_are_dropped(workspace, t
         watcher.until(lambda: travelled(watcher.poses[1]) > 0.3)
         assert travelled(watcher.poses[0]) < 0.1  # noise alone
     said = (tmp_path / "robot_1.log").read_text()
-    assert said.count("dropped a letter") == 3
+    assert said.count("dropped a message") == 3
 
 
 @pytest.mark.parametrize(
