@@ -1,13 +1,13 @@
-"""Where arenas come from: suites by name, generators for any size, and maps from files.
+"""Arenas: suites by name, generators for any size, and maps from files.
 
-A generator draws arenas as a pure function of numbers:
+A generator draws arenas as a pure function:
 ``generate(seed, arenas, episodes) -> (obstacles, positions)`` with int64 [A] arena indices and
 episode numbers, bool [A, H, W] obstacles and int64 [A, N, 2] start cells.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from marl_explore.arenas.maps import MapArenas, load_map
 from marl_explore.arenas.mazes import Mazes
 from marl_explore.arenas.mixed import Mixed
 from marl_explore.arenas.rooms import Rooms
+from marl_explore.arenas.sources import MapSource, is_source
 from marl_explore.arenas.suites import Suite, list_suites, suite
 from marl_explore.arenas.uniform import Uniform
 from marl_explore.config.arena import ANY_SIZE, ArenaConfig
@@ -30,14 +31,19 @@ __all__ = [
     "Corridors",
     "Generator",
     "MapArenas",
+    "MapSource",
     "Mazes",
     "Mixed",
     "Rooms",
     "Suite",
     "Uniform",
     "default_config",
+    "default_number",
     "default_steps",
+    "fit",
     "full_name",
+    "in_order",
+    "is_source",
     "list_suites",
     "load_map",
     "resolve",
@@ -45,18 +51,22 @@ __all__ = [
 ]
 
 
+MAP_STEPS = 1500
+"""Length of an evaluation on map files."""
+
+
 @dataclass(frozen=True)
 class Checked:
-    """A user's generator, refused when what it draws is no arena of the configuration."""
+    """A user's generator, with a check that its arenas fit the configuration."""
 
     generate: Generator
     config: ArenaConfig
 
     def __call__(self, seed: int, arenas: Tensor, episodes: Tensor) -> tuple[Tensor, Tensor]:
-        """What ``generate`` draws.
+        """The arenas from ``generate``.
 
         Raises:
-            ValueError: for another dtype or shape, or start cells that cannot be.
+            ValueError: for a wrong dtype or shape, or start cells that are not allowed.
         """
         obstacles, positions = self.generate(seed, arenas, episodes)
         config, count = self.config, len(arenas)
@@ -75,38 +85,71 @@ class Checked:
 
 
 def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
-    """The generator of a suite's name, or the callable itself.
+    """The generator of a suite by name, or the callable itself.
 
     Raises:
-        ValueError: naming the known suites, for an unknown name; or the field of ``config`` in
-            which it differs from the suite.
+        ValueError: for an unknown name, listing the known suites, or for a ``config`` that differs
+            from the suite, naming the field.
     """
     if callable(arenas):
         return Checked(arenas, config)
+    if is_source(arenas):
+        return MapSource.parse(arenas).arenas(config)
     kinds = {"uniform": Uniform, "mixed": Mixed}
     return kinds[arenas](config) if arenas in kinds else suite(arenas).generator(config)
 
 
 def default_config(arenas: str | Generator) -> ArenaConfig:
-    """The configuration that arenas bring with them: a suite's, a generator's, or the paper's.
+    """The default configuration for arenas: a suite's, a generator's, or the paper's.
 
     A generator has one when its attribute ``config`` is an ``ArenaConfig``.
     """
     own = getattr(arenas, "config", None)
     if isinstance(own, ArenaConfig):
         return own
-    return ArenaConfig() if callable(arenas) or arenas in ANY_SIZE else suite(arenas).config
+    if callable(arenas) or arenas in ANY_SIZE:
+        return ArenaConfig()
+    return fit(ArenaConfig(), arenas)
 
 
 def default_steps(arenas: str | Generator) -> int:
     """Length of an evaluation on arenas: a suite's own, or the paper's 300 steps."""
+    if is_source(arenas):
+        return MAP_STEPS
     return 300 if callable(arenas) or arenas in ANY_SIZE else suite(arenas).steps
+
+
+def default_number(arenas: str | Generator) -> int:
+    """Arenas of an evaluation: every map of a folder once, or 200."""
+    if isinstance(arenas, MapArenas):
+        return len(arenas.maps)
+    return len(MapSource.parse(str(arenas)).paths) if is_source(arenas) else 200
 
 
 def full_name(arenas: str) -> str:
     """A suite's name with its version.
 
     Raises:
+        ValueError: for an unknown name, listing the known suites.
+    """
+    return arenas if arenas in ANY_SIZE or is_source(arenas) else suite(arenas).id
+
+
+def fit(config: ArenaConfig, arenas: str) -> ArenaConfig:
+    """The robots of ``config`` in arenas of the size that a suite or map files bring.
+
+    Raises:
         ValueError: naming the known suites, for an unknown name.
     """
-    return arenas if arenas in ANY_SIZE else suite(arenas).id
+    if arenas in ANY_SIZE:
+        return config
+    return MapSource.parse(arenas).fit(config) if is_source(arenas) else suite(arenas).fit(config)
+
+
+def in_order(arenas: str | Generator, config: ArenaConfig) -> str | Generator:
+    """Arenas for an evaluation: of map files every one in turn, others as they are."""
+    if isinstance(arenas, MapArenas):
+        return replace(arenas, in_order=True)
+    if is_source(arenas):
+        return MapSource.parse(str(arenas)).arenas(config, in_order=True)
+    return arenas

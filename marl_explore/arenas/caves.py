@@ -1,4 +1,4 @@
-"""Caves by cellular automaton."""
+"""Caves from a cellular automaton."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SMALLEST_PERCENT = 35  # of the cells that a cave must leave free
 
 @dataclass(frozen=True)
 class Caves(ArenaGenerator):
-    """One winding cave: cells turn to rock where rock prevails, and the largest hollow stays."""
+    """One winding cave: cells become rock where rock prevails, and the largest cave is kept."""
 
     def obstacles(self, keys: Tensor) -> Tensor:
         """Obstacles bool [A, H, W], free cells connected."""
-        failure = f"the caves leave less than {SMALLEST_PERCENT} % free"
+        failure = f"the largest caves leave less than {SMALLEST_PERCENT} % free"
         return redraw(self.config, keys, self._hollow, _large_enough, failure)
 
     def _hollow(self, keys: Tensor, attempt: int) -> Tensor:
@@ -34,13 +34,13 @@ class Caves(ArenaGenerator):
 
 
 def _rock_nearby(rock: Tensor) -> Tensor:
-    """Rock among the nine cells around and in each cell [A, H, W]; all is rock outside."""
+    """Number of rocks among each cell and its eight neighbours [A, H, W]; outside all is rock."""
     padded = torch.nn.functional.pad(rock.to(torch.uint8), (1, 1, 1, 1), value=1)
     triples = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     return triples[..., :-2] + triples[..., 1:-1] + triples[..., 2:]
 
 
 def _large_enough(obstacles: Tensor) -> Tensor:
-    """Whether enough is free, bool [A]."""
+    """Whether enough cells are free, bool [A]."""
     cells = obstacles[0].numel()
     return 100 * (~obstacles).flatten(-2).sum(-1) >= SMALLEST_PERCENT * cells

@@ -7,13 +7,13 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-# A legal diagonal move has a free cell beside it, so legal moves join what straight moves join.
-# The third dimension, the batch, joins nothing.
+# A legal diagonal move has a free cell beside it, so straight moves connect the same cells as legal
+# moves. Cells are not connected along the third dimension, the batch.
 _STRAIGHT = np.array([np.zeros((3, 3)), [[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.zeros((3, 3))])
 
 
 def largest_component(free: Tensor) -> Tensor:
-    """The largest set of cells that legal moves join, the first in row order among equals.
+    """The largest set of cells connected by legal moves; of several, the first in row order.
 
     Args:
         free: bool [A, H, W].

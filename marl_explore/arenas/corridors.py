@@ -1,4 +1,4 @@
-"""Long corridors with niches at their sides."""
+"""Long corridors with niches along them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Corridors(ArenaGenerator):
 
 
 def _dig(band: Board, draw: Draw) -> int:
-    """Dig a corridor with niches into a band of rows, the last of which stays; its first row."""
+    """Dig a corridor with niches into a band, sparing its last row; returns its first row."""
     above = 1 + draw() % max(1, len(band) - WIDTH - 2)
     below = above + WIDTH
     band[above:below] = False

@@ -1,4 +1,4 @@
-"""What the generators share: random numbers from hashes, obstacles first, then start cells."""
+"""The base class of generators: random numbers from hashes, obstacles first, then start cells."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class ArenaGenerator(ABC):
         starts: "scattered" over the free cells, or "clustered" around one of them.
 
     Raises:
-        ValueError: for another rule of starts.
+        ValueError: for an unknown start rule.
     """
 
     config: ArenaConfig
     starts: str = "scattered"
 
     def __post_init__(self) -> None:
-        """Refuse rules that do not exist."""
+        """Check the start rule."""
         if self.starts not in START_RULES:
             raise ValueError(f"starts={self.starts!r} is unknown: use one of {[*START_RULES]}")
 
@@ -61,7 +61,7 @@ class ArenaGenerator(ABC):
         """Obstacles bool [A, H, W] of arenas with the hashes ``keys``, int64 [A]."""
 
     def positions(self, keys: Tensor, obstacles: Tensor) -> Tensor:
-        """Start cells int64 [A, N, 2] in the arenas bool [A, H, W], free cells connected."""
+        """Start cells int64 [A, N, 2] in arenas bool [A, H, W] with connected free cells."""
         return self.place(keys, ~obstacles)
 
     def place(self, keys: Tensor, free: Tensor) -> Tensor:
@@ -81,12 +81,12 @@ def numbers(keys: Tensor, *stream: int, count: int) -> Tensor:
 
 
 def one_by_one(draw_board: Callable[[Draw], Board], keys: Tensor, count: int) -> Tensor:
-    """Obstacles bool [A, H, W] of arenas that are drawn one after the other.
+    """Obstacles bool [A, H, W] of arenas that are drawn one by one.
 
     Args:
-        draw_board: makes one arena from the random numbers it asks for.
+        draw_board: makes one arena from the random numbers that it draws.
         keys: hashes of the arenas, int64 [A].
-        count: random numbers of an arena; one that asks for more gets the same ones again.
+        count: random numbers per arena; after them the same ones repeat.
     """
     rows = numbers(keys, OBSTACLES, count=count).tolist()
     boards = np.stack([draw_board(cycle(row).__next__) for row in rows])
@@ -100,14 +100,14 @@ def redraw(
     accept: Callable[[Tensor], Tensor],
     failure: str,
 ) -> Tensor:
-    """Obstacles bool [A, H, W], every arena drawn again with the next attempt until it will do.
+    """Obstacles bool [A, H, W]; every arena is redrawn until it is accepted.
 
     Args:
         config: size of the arenas.
         keys: hashes of the arenas, int64 [A].
         draw: from hashes and the number of the attempt to obstacles.
-        accept: whether obstacles [A, H, W] will do, bool [A].
-        failure: what to complain of when the attempts are used up.
+        accept: whether obstacles [A, H, W] are accepted, bool [A].
+        failure: error message when all attempts have failed.
 
     Raises:
         ValueError: when an arena is rejected MAX_ATTEMPTS times.

@@ -1,9 +1,13 @@
-"""Files of maps: images, ROS map_server's YAML, MovingAI's ``.map`` and ASCII drawings."""
+"""Map files: images, ROS map_server's YAML, MovingAI's ``.map`` and text maps."""
 
 from __future__ import annotations
 
 import math
 import re
+import reprlib
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,50 +19,134 @@ from PIL import Image
 
 from marl_explore.arenas.generator import Board
 
-IMAGES = (".png", ".pgm", ".jpg", ".jpeg")
+IMAGES = (".png", ".pgm", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".gif")
 ENDINGS = (*IMAGES, ".yaml", ".yml", ".map", ".txt")
-"""Endings of the files that can be read."""
-
-_ASCII = "#.0123456789"
-_MOVINGAI_FREE, _MOVINGAI_OBSTACLES = ".GS", "@OTW"
-_MOVINGAI_HEADER = (
-    ("type <name>", r"type \S+"),
-    ("height <rows>", r"height (\d+)"),
-    ("width <columns>", r"width (\d+)"),
-    ("map", "map"),
+"""File name extensions that can be read."""
+MAX_PIXELS = 25_000_000
+"""Most pixels, or symbols, of a map: 5000 x 5000."""
+MAX_SIDE = 20_000
+"""Most pixels, or symbols, of a row or a column."""
+_LIMITS = (
+    f"at most {MAX_SIDE} a side and {MAX_PIXELS / 1e6:g} million in all; make it smaller first"
 )
+MAX_YAML_BYTES, MAX_YAML_VALUES = 100_000, 20
+"""Most bytes of a YAML file, and most lists and mappings in it."""
+
+Interval = tuple[int, int]
+Intervals = str | Sequence[Interval]
+"""Grey values from 0 (black) to 255 (white), such as "195-255" or "50-80,195-255", or pairs."""
+
+_FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF", "GIF")
+_OBSTACLE, _FREE = "#", ".0123456789$"
+_STARTS = "@!"
+"""Free symbols of POGEMA's maps at which robots may start."""
+_MOVINGAI_FREE, _MOVINGAI_OBSTACLES = ".GS", "@OTW"
 _ROS_KEYS = ("image", "resolution", "negate", "occupied_thresh", "free_thresh")
 
 
+class Values(NamedTuple):
+    """Which grey values of an image mean what.
+
+    Pixels in none of the given intervals are unknown, which counts as occupied; where only one
+    kind is given, all others are of the other kind.
+    """
+
+    free: tuple[Interval, ...] | None = None
+    occupied: tuple[Interval, ...] | None = None
+    threshold: float | None = None
+    """Darkness in (0, 1] at which obstacles begin, in place of intervals; None: 0.5."""
+    start: int | None = None
+    """Free pixels of this value are those where robots may start."""
+
+
 class MapFile(NamedTuple):
-    """What a file says, pixel by pixel; the first row is north."""
+    """The contents of a file, pixel by pixel; the first row is north."""
 
     occupied: Board
     """Obstacles and unknown pixels, bool [rows, columns]."""
     resolution: float | None = None
-    """Side of a pixel (metres); None where the file does not say."""
+    """Side of a pixel (metres); None if the file does not give it."""
     marks: tuple[tuple[int, int], ...] = ()
     """Pixels (row, column) that are marked as starts, in the robots' order."""
+    starts: Board | None = None
+    """Pixels where robots may start, bool [rows, columns]; None: the file marks none."""
 
 
-def read_map(path: Path, threshold: float | None) -> MapFile:
-    """What a file of any of the formats says.
+def parse_intervals(name: str, value: Intervals | None) -> tuple[Interval, ...] | None:
+    """Intervals of grey values, in words or pairs.
+
+    Raises:
+        ValueError: naming what is no interval in 0 to 255.
+    """
+    if value is None:
+        return None
+    pairs: list[Any] = [*value]
+    if isinstance(value, str):
+        found = [re.fullmatch(r"\s*(\d{1,3})(?:\s*-\s*(\d{1,3}))?\s*", w) for w in value.split(",")]
+        pairs = [(m[1], m[2] or m[1]) if m else None for m in found]
+    try:
+        intervals = tuple((int(low), int(high)) for low, high in pairs)
+    except (TypeError, ValueError):
+        intervals = ()
+    if not intervals or any(not 0 <= low <= high <= 255 for low, high in intervals):
+        raise ValueError(
+            f"{name}={reprlib.repr(value)} is not allowed: use grey values from 0 to 255, such as "
+            "195-255 or 50-80,195-255"
+        )
+    return intervals
+
+
+def make_values(
+    free: Intervals | None = None,
+    occupied: Intervals | None = None,
+    threshold: float | None = None,
+    start: int | None = None,
+) -> Values:
+    """What grey values mean.
+
+    Raises:
+        ValueError: for a threshold beside intervals, free and occupied values that overlap, or a
+            start value that is none.
+    """
+    values = Values(
+        parse_intervals("free", free), parse_intervals("occupied", occupied), threshold, start
+    )
+    if threshold is not None and (free or occupied):
+        raise ValueError(f"threshold={threshold} is not allowed beside intervals of grey values")
+    for low, high in values.free or ():
+        for other_low, other_high in values.occupied or ():
+            if low <= other_high and other_low <= high:
+                raise ValueError(
+                    f"free={reprlib.repr(free)} and occupied={reprlib.repr(occupied)} overlap at "
+                    f"{max(low, other_low)}"
+                )
+    if start is not None and not 0 <= start <= 255:
+        raise ValueError(f"start_value={start} is not allowed: it must lie in 0 to 255")
+    return values
+
+
+def read_map(path: Path, values: Values) -> MapFile:
+    """Read a file in any of the formats.
 
     Args:
         path: a file with one of ENDINGS.
-        threshold: darkness of an image's obstacles (see ``read_image``); None: 0.5.
+        values: what the grey values of an image mean.
 
     Raises:
-        ValueError: naming file, line, what was expected and what came.
-        FileNotFoundError: when the file does not exist.
+        ValueError: naming file, line, what was expected and what was found.
+        FileNotFoundError: when the file, or the image of a YAML file, does not exist.
     """
     ending = path.suffix.lower()
     if ending in IMAGES:
-        return read_image(path, 0.5 if threshold is None else threshold)
-    if threshold is not None:
-        raise ValueError(f"threshold={threshold} is not allowed: {path} is not a plain image")
+        return read_image(path, values)
+    for name in ("threshold", "free", "occupied"):
+        value = getattr(values, name)
+        if value is not None:
+            raise ValueError(f"{name}={value} is not allowed: {path} is not a plain image")
     if ending in (".yaml", ".yml"):
-        return read_ros(path)
+        return read_ros(path, values.start)
+    if values.start is not None:
+        raise ValueError(f"start_value={values.start} is not allowed: {path} is not an image")
     if ending == ".map":
         return read_movingai(path)
     if ending == ".txt":
@@ -66,117 +154,244 @@ def read_map(path: Path, threshold: float | None) -> MapFile:
     raise ValueError(f"{path}: expected a file that ends in one of {ENDINGS}")
 
 
-def read_image(path: Path, threshold: float, negate: bool = False) -> MapFile:
-    """A grey image: dark pixels are obstacles, and so are transparent ones.
+def read_image(path: Path, values: Values, negate: bool = False) -> MapFile:
+    """An image, read as grey: by intervals of its values, or dark pixels as obstacles.
+
+    Transparent pixels are obstacles.
 
     Args:
-        path: PNG, PGM or JPEG.
-        threshold: darkness from 0 (white) to 1 (black) at which obstacles begin.
-        negate: whether bright pixels are the obstacles.
+        path: PNG, PGM, JPEG, BMP, TIFF or GIF (its first picture).
+        values: what grey values mean.
+        negate: whether bright pixels are the obstacles; for a threshold alone.
     """
     content = path.read_bytes()
-    try:
-        with Image.open(BytesIO(content), formats=("PNG", "PPM", "JPEG")) as image:
-            lightness, opaque = _lightness(image)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise ValueError(f"{path}: expected a PNG, PGM or JPEG image ({error})") from error
-    darkness = lightness if negate else 1 - lightness
-    return MapFile((darkness >= threshold) | ~opaque)
+    lightness, opaque = _pixels(path, content)
+    grey = np.rint(lightness * 255).astype(np.uint8)
+    if values.free is None and values.occupied is None:
+        threshold = 0.5 if values.threshold is None else values.threshold
+        darkness = lightness if negate else 1 - lightness
+        occupied = darkness >= max(threshold, 1 / 510)  # what is not dark at all is free
+    else:
+        blocked, free = _within(grey, values.occupied), _within(grey, values.free)
+        occupied = ~free if blocked is None else blocked if free is None else blocked | ~free
+    if values.start is None:
+        return MapFile(occupied | ~opaque)
+    starts = (grey == values.start) & opaque
+    if not starts.any():
+        raise ValueError(f"{path}: expected pixels of start_value={values.start}, got none")
+    return MapFile((occupied & ~starts) | ~opaque, starts=starts)
 
 
-def _lightness(image: Image.Image) -> tuple[NDArray[np.float64], Board]:
+def _pixels(path: Path, content: bytes) -> tuple[NDArray[np.float32], Board]:
+    """Lightness in [0, 1], and whether a pixel is opaque."""
+    expected = f"{path}: expected a PNG, PGM, JPEG, BMP, TIFF or GIF image"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of tags that are damaged, and of sizes refused below
+        try:
+            image = Image.open(BytesIO(content), formats=_FORMATS)
+        except Image.DecompressionBombError as error:
+            raise ValueError(f"{path}: its pixels are too many: {_LIMITS}") from error
+        except (OSError, SyntaxError, ValueError, TypeError, OverflowError) as error:
+            raise ValueError(f"{expected} ({error})") from error
+        require_size(path, image.height, image.width)
+        try:
+            return _lightness(image)
+        except (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError) as error:
+            raise ValueError(f"{expected} ({error})") from error
+
+
+def _within(grey: NDArray[np.uint8], intervals: Sequence[Interval] | None) -> Any:
+    """Whether grey values lie in some interval; None without intervals."""
+    if intervals is None:
+        return None
+    table = np.zeros(256, bool)
+    for low, high in intervals:
+        table[low : high + 1] = True
+    return table[grey]
+
+
+def require_size(path: Path, height: int, width: int) -> None:
+    """Refuse a map that would take too much memory, before any is taken.
+
+    Raises:
+        ValueError: naming the file, its size and the limits.
+    """
+    if max(height, width) > MAX_SIDE or height * width > MAX_PIXELS:
+        raise ValueError(f"{path}: {height} x {width} pixels are too many: {_LIMITS}")
+
+
+def _lightness(image: Image.Image) -> tuple[NDArray[np.float32], Board]:
     """Lightness in [0, 1] and whether a pixel is opaque."""
     if image.mode.startswith("I"):  # 16 bits, which Pillow does not scale down
-        lightness = np.asarray(image) / 65535
+        lightness = np.asarray(image, np.float32) / np.float32(65535)
         return lightness, np.ones_like(lightness, bool)
     pixels = np.asarray(image.convert("LA"))
-    return pixels[..., 0] / 255, pixels[..., 1] == 255
+    return pixels[..., 0].astype(np.float32) / np.float32(255), pixels[..., 1] == 255
 
 
-def read_ros(path: Path) -> MapFile:
+def read_ros(path: Path, start: int | None = None) -> MapFile:
     """A map of ROS map_server: YAML that names an image. Unknown pixels count as obstacles."""
     said = _ros_keys(path)
-    resolution = _number(path, said, "resolution", most=math.inf)
-    free, _ = (_number(path, said, key, most=1) for key in ("free_thresh", "occupied_thresh"))
+    resolution = _number(path, said, "resolution", least=None, most=math.inf)
+    free, _ = (_number(path, said, key, 0, 1) for key in ("free_thresh", "occupied_thresh"))
     for key, allowed in (("negate", (0, 1)), ("mode", ("trinary", "scale"))):
         if key in said and said[key] not in allowed:
-            raise ValueError(f"{path}: expected {key} to be one of {allowed}, got {said[key]!r}")
+            got = reprlib.repr(said[key])
+            raise ValueError(f"{path}: expected {key} to be one of {allowed}, got {got}")
+    _require_upright(path, said.get("origin"))
+    if not isinstance(said["image"], str):
+        got = reprlib.repr(said["image"])
+        raise ValueError(f"{path}: expected image to be a file name, got {got}")
+    picture = path.parent / said["image"]
+    if not picture.is_file():
+        raise FileNotFoundError(f"{path}: the image that it names, {picture}, does not exist")
     # what is not free is occupied or unknown, wherever the border between those two lies
-    image = read_image(path.parent / str(said["image"]), free, negate=bool(said["negate"]))
+    image = read_image(picture, Values(threshold=free, start=start), negate=bool(said["negate"]))
     return image._replace(resolution=resolution)
 
 
+def read_yaml_image(path: Path) -> Path:
+    """The image that a YAML file of map_server names."""
+    return path.parent / str(_ros_keys(path)["image"])
+
+
+def _require_upright(path: Path, origin: object) -> None:
+    """Refuse a map whose origin is rotated."""
+    if origin is None:
+        return
+    numbers = isinstance(origin, list) and all(
+        isinstance(x, (int, float)) and math.isfinite(x) for x in origin
+    )
+    if not numbers or len(origin) not in (2, 3):  # type: ignore[arg-type]
+        got = reprlib.repr(origin)
+        raise ValueError(f"{path}: expected origin to be [x, y, yaw], got {got}")
+    yaw = float([*origin, 0.0][2])  # type: ignore[misc]
+    if abs(math.remainder(yaw, 2 * math.pi)) > 1e-6:
+        raise ValueError(
+            f"{path}: expected an origin that is not rotated, got a yaw of {yaw} rad: rotate the "
+            "image instead"
+        )
+
+
 def _ros_keys(path: Path) -> dict[str, Any]:
+    size = path.stat().st_size
+    if size > MAX_YAML_BYTES:
+        raise ValueError(f"{path}: expected at most {MAX_YAML_BYTES} bytes of YAML, got {size}")
+    text = _text(path)
     try:
-        said = yaml.safe_load(_text(path))
+        _require_plain(path, text)
+        said = yaml.safe_load(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
-        raise ValueError(
-            f"{path}{line}: expected YAML ({getattr(error, 'problem', error)})"
-        ) from error
+        problem = getattr(error, "problem", None) or error
+        raise ValueError(f"{path}{line}: expected YAML ({problem})") from error
     missing = [key for key in _ROS_KEYS if not isinstance(said, dict) or key not in said]
     if missing:
         raise ValueError(f"{path}: expected the keys {_ROS_KEYS}, missing: {missing}")
     return said
 
 
-def _number(path: Path, said: dict[str, Any], key: str, most: float) -> float:
+def _require_plain(path: Path, text: str) -> None:
+    """Refuse YAML whose values could be far larger than its text."""
+    opened = 0
+    starts = (yaml.FlowSequenceStartToken, yaml.FlowMappingStartToken, yaml.BlockMappingStartToken)
+    for token in yaml.scan(text):
+        opened += isinstance(token, starts)
+        if isinstance(token, yaml.AliasToken) or opened > MAX_YAML_VALUES:
+            line = token.start_mark.line + 1
+            raise ValueError(
+                f"{path}, line {line}: expected plain YAML, without aliases or nesting"
+            )
+
+
+def _number(path: Path, said: dict[str, Any], key: str, least: float | None, most: float) -> float:
+    """A number of at least ``least``, or above 0, and at most ``most``."""
     value = said[key]
+    if isinstance(value, str):  # YAML 1.1 takes 5e-2 for a word, 1.2 for a number
+        with suppress(ValueError):
+            value = float(value)
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and 0 < value <= most):
-        bound = "positive" if most == math.inf else f"in (0, {most}]"
-        raise ValueError(f"{path}: expected a number {key}, {bound}, got {value!r}")
+    above = number and (value > 0 if least is None else value >= least)
+    if not (above and math.isfinite(value) and value <= most):
+        bound = "positive" if most == math.inf else f"in [{least}, {most}]"
+        got = reprlib.repr(said[key])
+        raise ValueError(f"{path}: expected a number {key}, {bound}, got {got}")
     return float(value)
 
 
 def read_movingai(path: Path) -> MapFile:
     """A map of the MovingAI benchmarks: ``.``, ``G`` and ``S`` are free."""
     lines = _text(path).rstrip().splitlines()
-    sizes: list[int] = []
-    for number, (expected, pattern) in enumerate(_MOVINGAI_HEADER):
-        line = lines[number].strip() if number < len(lines) else ""
-        match = re.fullmatch(pattern, line)
-        if not match:
-            raise ValueError(f"{path}, line {number + 1}: expected {expected!r}, got {line!r}")
-        sizes += map(int, match.groups())
-    height, width = sizes
-    first = len(_MOVINGAI_HEADER)
-    rows = lines[first:]
+    said = [line.split() for line in lines[:4]] + [[]] * 4
+
+    def expect(number: int, expected: str, ok: bool) -> None:
+        if not ok:
+            got = lines[number].strip()[:60] if number < len(lines) else ""
+            raise ValueError(f"{path}, line {number + 1}: expected {expected!r}, got {got!r}")
+
+    expect(0, "type <name>", said[0][:1] == ["type"] and len(said[0]) == 2)
+    sizes: dict[str, int] = {}
+    left = {"height": "height <rows>", "width": "width <columns>"}
+    for number in (1, 2):
+        name = said[number][0] if said[number][:1] and said[number][0] in left else next(iter(left))
+        words = said[number]
+        digits = len(words) == 2 and words[0] == name and re.fullmatch(r"\d{1,6}", words[1])
+        expect(number, left.pop(name), bool(digits))
+        sizes[name] = int(words[1])
+    expect(3, "map", said[3] == ["map"])
+    height, width = sizes["height"], sizes["width"]
+    require_size(path, height, width)
+    rows = [line.rstrip() for line in lines[4:]]
     if len(rows) != height:
-        raise ValueError(f"{path}: expected {height} rows after line {first}, got {len(rows)}")
-    cells = _cells(path, rows, first + 1, width, _MOVINGAI_FREE + _MOVINGAI_OBSTACLES)
+        raise ValueError(f"{path}: expected {height} rows after line 4, got {len(rows)}")
+    cells = _cells(path, rows, 5, width, _MOVINGAI_FREE + _MOVINGAI_OBSTACLES)
     return MapFile(~np.isin(cells, [*_MOVINGAI_FREE]))
 
 
 def read_ascii(path: Path) -> MapFile:
-    """A drawing: ``#`` is an obstacle, ``.`` is free, and robot i may start at the digit i."""
+    """A drawing: ``#`` is an obstacle, ``.`` is free, and robot i may start at the digit i.
+
+    POGEMA's ``@`` and ``!`` are free cells where robots may start, and its ``$`` is free.
+    """
     rows = [line.rstrip() for line in _text(path).rstrip().splitlines()]
-    cells = _cells(path, rows, 1, len(rows[0]) if rows else 0, _ASCII)
+    cells = _cells(path, rows, 1, len(rows[0]) if rows else 0, _OBSTACLE + _FREE + _STARTS)
     places = np.argwhere(np.char.isdigit(cells)).tolist()
     marks = sorted((cells[row, column].item(), (row, column)) for row, column in places)
     robots = [robot for robot, _ in marks]
     if robots != [str(robot) for robot in range(len(robots))]:
-        raise ValueError(f"{path}: expected robots 0, 1, 2 ... once each, got {robots}")
-    return MapFile(cells == "#", marks=tuple(place for _, place in marks))
+        raise ValueError(
+            f"{path}: expected robots 0, 1, 2 ... once each, got {reprlib.repr(robots)}"
+        )
+    starts = np.isin(cells, [*_STARTS])
+    return MapFile(
+        cells == _OBSTACLE,
+        marks=tuple(place for _, place in marks),
+        starts=starts if starts.any() else None,
+    )
 
 
 def _text(path: Path) -> str:
+    size, most = path.stat().st_size, 4 * MAX_PIXELS
+    if size > most:
+        raise ValueError(f"{path}: {size} bytes are too many for a text: at most {most}")
     # what is no text shows up as a symbol that was not expected, with its line
-    return path.read_text(encoding="utf-8", errors="replace")
+    return path.read_text(encoding="utf-8-sig", errors="replace")
 
 
 def _cells(path: Path, rows: list[str], first: int, width: int, allowed: str) -> NDArray[np.str_]:
     """Symbols [rows, width] of drawn rows, the first of which is line ``first`` of the file."""
     if not rows or not width:
         raise ValueError(f"{path}, line {first}: expected rows of cells, got none")
+    require_size(path, len(rows), width)
     for line, row in enumerate(rows, first):
         if len(row) != width:
             raise ValueError(f"{path}, line {line}: expected {width} cells, got {len(row)}")
-        for column, symbol in enumerate(row, 1):
-            if symbol not in allowed:
-                raise ValueError(
-                    f"{path}, line {line}, column {column}: expected one of {allowed!r}, "
-                    f"got {symbol!r}"
-                )
-    return np.array([[*row] for row in rows])
+        other = row.strip(allowed)  # nothing, unless a symbol that is not allowed stands in it
+        if other:
+            column = row.index(other[0]) + 1
+            raise ValueError(
+                f"{path}, line {line}, column {column}: expected one of {allowed!r}, "
+                f"got {other[0]!r}"
+            )
+    return np.array(rows).view("U1").reshape(len(rows), width)

@@ -10,14 +10,14 @@ from torch import Tensor
 
 from marl_explore.arenas.generator import ArenaGenerator, Board, Draw, one_by_one
 
-PASSAGE = 2  # width of the ways (cells), so that two robots can pass
-LOOP_ONE_IN = 8  # share of the walls left that are opened: a maze without loops is a tree
+PASSAGE = 2  # width of passages (cells), so that two robots can pass
+LOOP_ONE_IN = 8  # one in so many remaining walls is opened; without loops a maze is a tree
 _ORDERS = list(permutations(((-1, 0), (0, 1), (1, 0), (0, -1))))
 
 
 @dataclass(frozen=True)
 class Mazes(ArenaGenerator):
-    """Winding ways, two cells wide between walls of one cell, with a few loops."""
+    """Winding passages, two cells wide, between walls of one cell, with a few loops."""
 
     def obstacles(self, keys: Tensor) -> Tensor:
         """Obstacles bool [A, H, W], free cells connected."""
@@ -30,14 +30,14 @@ class Mazes(ArenaGenerator):
 
 
 def _widths(size: int) -> list[int]:
-    """Rows of the arena that ways and walls take in turn; the last way takes what is left over."""
+    """Widths of alternating passages and walls; the last passage takes the remainder."""
     ways = max(1, (size + 1) // (PASSAGE + 1))
     widths = [PASSAGE, 1] * ways
     return [*widths[:-2], size - sum(widths[:-2])]
 
 
 def _lattice(rows: int, columns: int, draw: Draw) -> Board:
-    """A maze without loops on odd sides: cells at even places, walls between them."""
+    """A maze without loops, with odd sides: cells at even indices, walls between them."""
     closed = np.ones((rows, columns), bool)
     path = [(2 * (draw() % (rows // 2 + 1)), 2 * (draw() % (columns // 2 + 1)))]
     closed[path[0]] = False

@@ -1,4 +1,4 @@
-"""Arenas of every kind side by side, for one policy that is to explore all of them."""
+"""Arenas of all kinds side by side, to train one policy for all of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from marl_explore.config.arena import ArenaConfig
 
 @dataclass(frozen=True)
 class Quarter(ArenaGenerator):
-    """A uniform arena of half the height and width in one corner; all else is obstacles."""
+    """A uniform arena of half the height and width in one corner; the rest is obstacles."""
 
     def obstacles(self, keys: Tensor) -> Tensor:
         """Obstacles bool [A, H, W], free cells connected."""
@@ -42,9 +42,9 @@ _KINDS = (
 class Mixed:
     """Draws arenas of the suites' kinds in any size: arena i is of kind i modulo 6.
 
-    In turn: uniform, rooms, uniform in a corner of half the height and width, mazes, corridors,
-    caves; robots start as in the suites. A row of an environment keeps its kind: their number had
-    better be a multiple of 6.
+    In order: uniform, rooms, uniform in a corner of half the height and width, mazes, corridors,
+    caves. Robots start as in the suites. A row of an environment keeps its kind, so the number of
+    rows should be a multiple of 6.
 
     Args:
         config: size of the arenas, number of robots, and density of the uniform ones.

@@ -9,14 +9,14 @@ from torch import Tensor
 
 from marl_explore.arenas.generator import ArenaGenerator, Board, Draw, one_by_one
 
-SMALLEST = 5  # sides of rooms before they are split no further: 5 to 10 cells
+SMALLEST = 5  # smallest side of a room; rooms have sides of 5 to 10 cells
 DOOR = 2  # cells, so that two robots can pass
-DOOR_EVERY = 12  # cells of a wall, so that long walls have several and teams can go round
+DOOR_EVERY = 12  # cells of a wall per door, so that long walls have several, which makes loops
 
 
 @dataclass(frozen=True)
 class Rooms(ArenaGenerator):
-    """Rectangular rooms: walls split the arena again and again, each with one door or more."""
+    """Rectangular rooms: walls split the arena recursively, each with at least one door."""
 
     def obstacles(self, keys: Tensor) -> Tensor:
         """Obstacles bool [A, H, W], free cells connected."""
@@ -24,7 +24,7 @@ class Rooms(ArenaGenerator):
 
     def _board(self, draw: Draw) -> Board:
         board = np.zeros((self.config.height, self.config.width), bool)
-        # a wall runs along the rows of its view of the board: the board itself or its transpose
+        # each wall is a row of its view of the board: the board itself or its transpose
         walls = _build_walls(board, draw)
         for view, row, columns in walls:
             _open_doors(view, row, columns, draw)
@@ -32,7 +32,7 @@ class Rooms(ArenaGenerator):
 
 
 def _build_walls(board: Board, draw: Draw) -> list[tuple[Board, int, slice]]:
-    """Split the board into rooms; views, rows and columns of the walls."""
+    """Split the board into rooms; returns views, rows and columns of the walls."""
     walls = []
     regions = [(board, 0, 0, *board.shape)]
     while regions:
@@ -51,7 +51,7 @@ def _build_walls(board: Board, draw: Draw) -> list[tuple[Board, int, slice]]:
 
 
 def _open_doors(view: Board, row: int, columns: slice, draw: Draw) -> None:
-    """Doors where no other wall stands before or behind them."""
+    """Open doors where there is no other wall on either side."""
     wall = view[row, columns]
     clear = ~(view[row - 1, columns] | view[row + 1, columns])
     # never empty: the first SMALLEST cells of a wall have rooms on both sides

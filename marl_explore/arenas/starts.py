@@ -1,4 +1,4 @@
-"""Where robots start: scattered over the arena, or together around one cell."""
+"""Start cells of robots: scattered over the arena, or together around one cell."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from marl_explore.core.wavefront import batch_last, flood, mask
 
 
 def scattered(order: Tensor, free: Tensor, count: int) -> Tensor:
-    """The free cells with the smallest numbers.
+    """The free cells with the smallest random numbers.
 
     Args:
         order: random numbers of the cells, int64 [A, H W].
@@ -28,7 +28,7 @@ def scattered(order: Tensor, free: Tensor, count: int) -> Tensor:
 
 
 def clustered(order: Tensor, free: Tensor, count: int) -> Tensor:
-    """The free cells nearest by path to the one with the smallest number; random among equals.
+    """The free cells nearest by path to the one with the smallest number; ties are random.
 
     Which robot starts in which of these cells is random too. The free cells must be connected.
 
@@ -46,15 +46,15 @@ def clustered(order: Tensor, free: Tensor, count: int) -> Tensor:
     by_distance = distance.gather(-1, by_number).argsort(dim=-1, stable=True)
     nearest = by_number.gather(-1, by_distance[:, :count])
     chosen = torch.zeros_like(order, dtype=torch.bool).scatter_(-1, nearest, True)
-    # other numbers, or the first robot would always be the one in the middle
+    # other random numbers, or the first robot would always be in the middle
     return scattered(mix(order), chosen.view(free.shape), count)
 
 
 def _path_levels(center: Tensor, free: Tensor, levels: int) -> Tensor:
     """1 + length of the shortest path from the centers [A, 1, 2], int32 [A, H, W].
 
-    Cells farther than ``levels - 1`` moves are at ``levels + 1``: the ``levels`` nearest cells of
-    a connected arena cannot be among them.
+    Cells farther away than ``levels - 1`` moves get ``levels + 1``; in a connected arena the
+    ``levels`` nearest cells are never among them.
     """
     here = with_robots(torch.zeros_like(free), center)
     passable = mask(batch_last(free, border=0))

@@ -1,4 +1,4 @@
-"""The suites: kinds of arenas with a versioned name and a recorded hash of what they draw."""
+"""Suites: kinds of arenas with a versioned name and a recorded hash of their arenas."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ class Suite:
     """A kind of arena that never changes under its name and version."""
 
     name: str
-    """Kind and side of the arena, such as "rooms-32"."""
+    """Name without version: kind and side of the arena, such as "rooms-32"."""
     version: int
-    """Counts up when other arenas come out."""
+    """To be increased when the arenas change."""
     config: ArenaConfig
-    """Size and mean obstacle density, which are the suite's; robots and ranges may be replaced."""
+    """Size and mean obstacle density, which are fixed; robots and ranges may be replaced."""
     make: Callable[[ArenaConfig], Generator]
     """From a configuration to the generator of its arenas."""
     digest: str
-    """The fingerprint of the arenas that this version draws."""
+    """The recorded fingerprint of this version's arenas."""
     steps: int
-    """Length of an evaluation: the paper's 300, or nearly twice what nearest-frontier robots that
-    never communicate take."""
+    """Length of an evaluation: the paper's 300 steps, or nearly twice as many as nearest-frontier
+    robots that never communicate need."""
 
     @property
     def id(self) -> str:
@@ -53,7 +53,7 @@ class Suite:
         """The suite's generator for the robots of ``config``.
 
         Raises:
-            ValueError: when size or density are not the suite's.
+            ValueError: when size or density differ from the suite's.
         """
         for name in _ARENA_FIELDS:
             value, own = getattr(config, name), getattr(self.config, name)
@@ -65,10 +65,9 @@ class Suite:
         return self.make(config)
 
     def fingerprint(self, num_arenas: int = 200) -> str:
-        """SHA-256 of the first arenas of stream "test", seed 0, episode 0 and the suite's robots.
+        """SHA-256 of the first arenas of stream "test", seed 0, episode 0, with the suite's robots.
 
-        The bytes are those of all obstacles (uint8), then of all positions (int64, little end
-        first).
+        The bytes are those of all obstacles (uint8), then of all positions (int64, little endian).
         """
         arenas = torch.arange(num_arenas)
         drawn = self.make(self.config)(stream_seed("test", 0), arenas, torch.zeros_like(arenas))
@@ -139,15 +138,15 @@ def list_suites() -> list[str]:
 
 
 def suite(name: str) -> Suite:
-    """The suite of a name; without a version the newest.
+    """The suite with this name; the newest if it has no version.
 
     Raises:
-        ValueError: naming the known suites, for an unknown name.
+        ValueError: for an unknown name, listing the known suites.
     """
     found = [entry for entry in SUITES if name in (entry.id, entry.name)]
     if not found:
         known = [entry.id for entry in SUITES]
         raise ValueError(
-            f"arenas={name!r} is no suite: use one of {known}; {[*ANY_SIZE]} have none"
+            f"arenas={name!r} is not a suite: use one of {known}; {[*ANY_SIZE]} are not suites"
         )
     return max(found, key=lambda entry: entry.version)

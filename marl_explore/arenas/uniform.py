@@ -16,7 +16,7 @@ class Uniform(ArenaGenerator):
     """The generator of the paper's arenas (docs/environment.md, Arenas)."""
 
     def obstacles(self, keys: Tensor) -> Tensor:
-        """Obstacles bool [A, H, W]: drawn again with the next attempt until they are connected."""
+        """Obstacles bool [A, H, W], redrawn until the free cells are connected."""
         density = self.config.obstacle_density
         failure = f"obstacle_density={density} is too high for connected free cells"
         return redraw(self.config, keys, self._scatter, connected, failure)

@@ -85,9 +85,9 @@ def fitted(arena: ArenaConfig, arenas: str) -> ArenaConfig:
     """The robots of ``arena`` in arenas of the suite's size; other arenas take any size."""
     if arenas in ANY_SIZE:
         return arena
-    from marl_explore.arenas import suite
+    from marl_explore.arenas import fit
 
-    return suite(arenas).fit(arena)
+    return fit(arena, arenas)
 
 
 def default_task(words: Sequence[str]) -> tuple[ArenaConfig, str]:

@@ -25,15 +25,16 @@ from marl_explore.config.checks import require_integer
 class Arguments(Task):
     """Options of ``marl-explore evaluate``."""
 
-    num_arenas: int = 200
-    """Number of test arenas, the same for every policy."""
+    num_arenas: int | None = None
+    """Test arenas, the same for every policy; default: 200, or every map of a folder once."""
     out: Path | None = None
     """New folder for results.json, results.csv and table.txt; default: print only."""
 
     def __post_init__(self) -> None:
         """Check the arguments."""
         super().__post_init__()
-        require_integer("num_arenas", self.num_arenas, 1)
+        if self.num_arenas is not None:
+            require_integer("num_arenas", self.num_arenas, 1)
 
 
 def parse(words: Sequence[str], prog: str = "marl-explore evaluate") -> Arguments:
@@ -43,16 +44,18 @@ def parse(words: Sequence[str], prog: str = "marl-explore evaluate") -> Argument
 
 def run(arguments: Arguments) -> None:
     """Evaluate every policy, print the table and write it."""
-    from marl_explore.arenas import default_steps, full_name
+    from marl_explore.arenas import default_number, default_steps, full_name
     from marl_explore.evaluation import metrics
     from marl_explore.evaluation.episodes import record as record_episodes
     from marl_explore.evaluation.results import format_table, write_results
     from marl_explore.utils import records
 
+    num_arenas = arguments.num_arenas or default_number(arguments.arenas)
     arguments = replace(
         arguments,
         arenas=full_name(arguments.arenas),
         steps=arguments.steps or default_steps(arguments.arenas),
+        num_arenas=num_arenas,
     )
     record = records.provenance() | {"settings": asdict(arguments)}
     if arguments.out:
@@ -63,7 +66,7 @@ def run(arguments: Arguments) -> None:
         episodes = record_episodes(
             policy,
             arguments.arena,
-            num_arenas=arguments.num_arenas,
+            num_arenas=num_arenas,
             steps=arguments.steps,
             seed=arguments.seed,
             arenas=arguments.arenas,

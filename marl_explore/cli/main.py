@@ -15,6 +15,7 @@ from marl_explore.utils.versions import versions
 
 COMMANDS = {
     "demo": "train for two minutes, compare with planners, draw",
+    "explore": "explore maps: floor plans, ROS and MovingAI maps, drawings",
     "train": "train a team from a preset",
     "resume": "resume a run that was stopped",
     "evaluate": "compare policies on test arenas",

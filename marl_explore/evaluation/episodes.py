@@ -1,8 +1,8 @@
-"""Episodes of policies on arenas they never saw: played, watched, recorded."""
+"""Episodes of policies on unseen arenas: played, watched, recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import step_mdp
 
-from marl_explore.arenas import Generator, default_steps
+from marl_explore.arenas import Generator, default_config, default_steps, in_order
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
 from marl_explore.core.mapping import known_mask, target_cells, union_of
@@ -27,20 +27,20 @@ EVENTS = ("dangerous", "merged", "discovered", "received")
 def play(
     policy: Actor, env: ExplorationEnv, steps: int, until_done: bool = False
 ) -> Iterator[TensorDictBase]:
-    """The observations of an episode, the reset's first.
+    """The observations of an episode, starting with that of the reset.
 
     Each later one also holds the ("agents", "action") that led to it.
 
     Args:
         policy: TensorDict in, action out.
-        env: reset by this function, never in between.
-        steps: most steps to take.
+        env: reset once by this function, at the start.
+        steps: maximum number of steps.
         until_done: whether to stop when every arena is done.
     """
     observation = env.reset()
     yield observation
     for _ in range(steps):
-        # a copy, so that the action is not written into the observation that was handed out
+        # a copy, so that the action is not written into the observation that was yielded
         stepped = env.step(policy(observation.clone(recurse=False)))
         observation = step_mdp(stepped, exclude_action=False)
         yield observation
@@ -63,7 +63,7 @@ def watch(
 
     Args:
         policy: TensorDict in, action out.
-        arena_index: which arena of the stream; row i of ``record`` is arena i.
+        arena_index: index of the arena in the stream; row i of ``record`` is arena i.
         config, steps, seed, stream, arenas: as for ``record``.
     """
     require_integer("arena_index", arena_index, 0)
@@ -83,10 +83,12 @@ def _test_env(
     arenas: str | Generator,
     **task: Any,
 ) -> Iterator[ExplorationEnv]:
-    """Arenas to test a policy on, without gradients; random numbers inside follow from the seed."""
+    """Test arenas, without gradients; random numbers in this context follow from the seed."""
     steps = default_steps(arenas) if steps is None else steps
     require_integer("steps", steps, 1)
     require_integer("seed", seed, 0)
+    config = default_config(arenas) if config is None else config
+    arenas = in_order(arenas, config)
     env = ExplorationEnv(config, max_steps=steps, arenas=arenas, seed=seed, stream=stream, **task)
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(seed)
@@ -94,7 +96,7 @@ def _test_env(
 
 
 def _until_shared(episode: Iterator[TensorDictBase]) -> Iterator[TensorDictBase]:
-    """The observations with the union as the map of every robot, until it is complete."""
+    """The observations with the union as every robot's map, until it is complete."""
     target: Tensor | None = None
     for observation in episode:
         maps = _measured(observation, shared=True).contiguous()
@@ -107,7 +109,7 @@ def _until_shared(episode: Iterator[TensorDictBase]) -> Iterator[TensorDictBase]
 
 
 def _measured(observation: TensorDictBase, shared: bool) -> Tensor:
-    """The robots' maps [B, N, H, W]; of a reference that shares them, their union for each."""
+    """The robots' maps [B, N, H, W]; for a reference that shares them, their union for each."""
     grid = observation["agents", "map"]
     return union_of(grid).unsqueeze(-3).expand_as(grid) if shared else grid
 
@@ -125,34 +127,47 @@ def record(
 
     Args:
         policy: TensorDict in, action out.
-        config: arenas and robots; None: those that ``arenas`` brings.
+        config: arenas and robots; None: the default of ``arenas``.
         num_arenas: B.
         steps: T; None: the suite's, or 300.
-        seed: of the arenas and of sampled actions; the global random state is left as it was.
+        seed: of the arenas and of sampled actions; the global random state is restored.
         stream: family of arenas.
         arenas: a suite's name or a generator, as for ``ExplorationEnv``.
     """
     require_integer("num_arenas", num_arenas, 1)
     with _test_env(config, steps, seed, stream, arenas, num_envs=num_arenas) as env:
-        episode = play(policy, env, env.max_steps)
-        start = next(episode)
-        target = target_cells(start["obstacles"], start["agents", "position"])
         shared = getattr(policy, "shares_maps", False)
-        maps = [snapshot(_measured(start, shared), target)]
-        events = {key: [start["agents", key]] for key in EVENTS}
-        actions = []
-        for observation in episode:
-            agents = observation["agents"]
-            maps.append(snapshot(_measured(observation, shared), target))
-            actions.append(agents["action"])
-            for key, values in events.items():
-                values.append(agents[key])
+        return measure_steps(play(policy, env, env.max_steps), env.config, shared)
+
+
+def measure_steps(
+    observations: Iterable[TensorDictBase], config: ArenaConfig, shared: bool = False
+) -> Episodes:
+    """What metrics need of the observations of episodes, the reset's first.
+
+    Args:
+        observations: batch [B] each, as ``play`` and ``watch`` give them.
+        config: of the arenas.
+        shared: whether all robots count as having the union of the maps.
+    """
+    episode = iter(observations)
+    start = next(episode)
+    target = target_cells(start["obstacles"], start["agents", "position"])
+    maps = [snapshot(_measured(start, shared), target)]
+    events = {key: [start["agents", key]] for key in EVENTS}
+    actions = []
+    for observation in episode:
+        agents = observation["agents"]
+        maps.append(snapshot(_measured(observation, shared), target))
+        actions.append(agents["action"])
+        for key, values in events.items():
+            values.append(agents[key])
     return Episodes(
         maps=Snapshot(*(torch.stack(entry, 1) for entry in zip(*maps, strict=True))),
         action=torch.stack(actions, 1),
         **{key: torch.stack(values, 1) for key, values in events.items()},
         num_targets=target.flatten(-2).sum(-1),
-        num_cells=env.config.num_cells,
-        cell_size=env.config.cell_size,
-        max_discovery=env.config.max_discovery,
+        num_cells=config.num_cells,
+        cell_size=config.cell_size,
+        max_discovery=config.max_discovery,
     )

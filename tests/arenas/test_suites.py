@@ -74,7 +74,7 @@ def test_a_name_without_version_is_the_newest(monkeypatch):
 
 @pytest.mark.parametrize("name", ["rooms", "rooms-32-v7", "rooms-32-v", ""])
 def test_unknown_suites_are_refused_with_the_known_ones(name):
-    with pytest.raises(ValueError, match=f"arenas='{name}' is no suite.*rooms-32-v1.*uniform"):
+    with pytest.raises(ValueError, match=f"arenas='{name}' is not a suite.*rooms-32-v1.*uniform"):
         resolve(name, ArenaConfig())
 
 
