@@ -24,6 +24,7 @@ PAGES = (
     "docs/api.md",
     "docs/extending.md",
     "docs/happo.md",
+    "docs/maps.md",
     "docs/planners.md",
     "docs/replay.md",
     "docs/transforms.md",

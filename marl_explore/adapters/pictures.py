@@ -9,7 +9,7 @@ from torch import Tensor
 
 from marl_explore.core.grid import UNKNOWN
 from marl_explore.core.mapping import union_of
-from marl_explore.utils.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
+from marl_explore.utils.palette import FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR, robot_color
 
 SIDE = 16
 """Pixels of a cell's side."""
@@ -41,7 +41,7 @@ def rgb_picture(maps: Tensor, position: Tensor) -> NDArray[np.uint8]:
     picture = cells.repeat(SIDE, 0).repeat(SIDE, 1)
     edge = SIDE // 4
     for robot, (row, column) in enumerate(position.tolist()):
-        color = ImageColor.getrgb(COLORS[robot % len(COLORS)])
+        color = ImageColor.getrgb(robot_color(robot))
         top, left = row * SIDE, column * SIDE
         picture[top + edge : top + SIDE - edge, left + edge : left + SIDE - edge] = color
     return picture

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.animation import (
-    AbstractMovieWriter,
-    FFMpegWriter,
-    FuncAnimation,
-    PillowWriter,
-)
+import torch
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, FuncAnimation
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
 from tensordict import TensorDictBase
 
+from marl_explore.core.mapping import target_cells
 from marl_explore.evaluation.plots.style import STYLE, save
-from marl_explore.utils.palette import COLORS, FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR
+from marl_explore.utils.files import atomic_write
+from marl_explore.utils.palette import FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR, robot_color
+
+DPI = 80
+"""Of animations."""
+PANEL_WIDTH, COLUMNS = 2.1, 6
+"""Width of a panel (inches), and panels side by side of a square arena."""
 
 
 def episode_animation(
@@ -42,16 +49,22 @@ def episode_animation(
     frames = [_Frame(step, arena) for step in steps]
     with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
-        animation = FuncAnimation(
-            figure, lambda t: draw(t), frames=len(frames), interval=1000 / frames_per_second
-        )
-        animation.save(path, writer, dpi=80)
+        figure.set_dpi(DPI)
+        draw(0)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # the panels stay where they are: no layout per frame
+        if writer is None:
+            _write_gif(figure, draw, len(frames), path, frames_per_second)
+        else:
+            animation = FuncAnimation(figure, draw, frames=len(frames))
+            animation.save(path, writer, dpi=DPI)
     return path
 
 
-def _movie_writer(path: Path, frames_per_second: int) -> AbstractMovieWriter:
+def _movie_writer(path: Path, frames_per_second: int) -> AbstractMovieWriter | None:
+    """Who writes a film; None for a GIF, which needs nobody."""
     if path.suffix == ".gif":
-        return PillowWriter(fps=frames_per_second)
+        return None
     if path.suffix != ".mp4":
         raise ValueError(f"path={str(path)!r} is not allowed: it must end in .gif or .mp4")
     if not FFMpegWriter.isAvailable():
@@ -59,6 +72,24 @@ def _movie_writer(path: Path, frames_per_second: int) -> AbstractMovieWriter:
             f"path={str(path)!r} cannot be written: .mp4 needs ffmpeg on the PATH, .gif does not"
         )
     return FFMpegWriter(fps=frames_per_second)
+
+
+def _write_gif(
+    figure: Figure, draw: Callable[[int], None], count: int, path: Path, frames_per_second: int
+) -> None:
+    """Frames drawn once each: matplotlib's own writer draws every one twice."""
+    canvas = FigureCanvasAgg(figure)
+    pictures = []
+    for t in range(count):
+        draw(t)
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
+    duration = round(1000 / frames_per_second)
+    with atomic_write(path) as unfinished:
+        first, *others = pictures
+        first.save(
+            unfinished, "GIF", save_all=True, append_images=others, duration=duration, loop=0
+        )
 
 
 def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int = 0) -> Path:
@@ -81,42 +112,67 @@ class _Frame:
         self.merged = agents.get("merged")[arena].numpy()
 
 
-def _panels(frames: Sequence[_Frame]):  # type: ignore[no-untyped-def]
+class _Panel:
+    """A grid with paths on it, drawn once and then changed from frame to frame."""
+
+    def __init__(self, axes: Axes, shape: tuple[int, int], colors: Sequence[str], own: str) -> None:
+        self.axes = axes
+        shades = [UNKNOWN_COLOR, _pale(own) if own else FREE_COLOR, OBSTACLE_COLOR]
+        blank = np.full(shape, -1)
+        self.image = axes.imshow(blank, cmap=ListedColormap(shades), vmin=-1, vmax=1)
+        self.title = axes.set_title(" ", color=own or "black")
+        axes.set(xticks=[], yticks=[], autoscale_on=False)
+        axes.spines[:].set_visible(True)
+        self.paths = [axes.plot([], [], color=c, alpha=0.75, linewidth=1.2)[0] for c in colors]
+        self.places = [axes.plot([], [], "o", color=c, markersize=6)[0] for c in colors]
+        self.rings = [
+            axes.plot([], [], "o", color=c, markersize=12, fillstyle="none")[0] for c in colors
+        ]
+
+    def draw(
+        self, grid: NDArray[Any], paths: Sequence[NDArray[Any]], merged: Sequence[bool], title: str
+    ) -> None:
+        """Show another grid, other paths (row, column) and who exchanges maps."""
+        self.image.set_data(grid)
+        self.title.set_text(title)
+        for path, line, place, ring, exchanges in zip(
+            paths, self.paths, self.places, self.rings, merged, strict=True
+        ):
+            line.set_data(path[:, 1], path[:, 0])
+            place.set_data(path[-1:, 1], path[-1:, 0])
+            last = path[-1:] if exchanges else path[:0]
+            ring.set_data(last[:, 1], last[:, 0])
+
+
+def _panels(frames: Sequence[_Frame]) -> tuple[Figure, Callable[[int], None]]:
     """The figure of an episode and the function that draws its frame ``t``."""
-    robots = len(frames[0].position)
-    figure = Figure(figsize=(2.1 * (robots + 1), 2.5), layout="constrained")
-    axes = figure.subplots(1, robots + 1, squeeze=False)
-    num_cells = frames[0].obstacles.size
+    first = frames[0]
+    robots, (height, width) = len(first.position), first.obstacles.shape
+    columns = min(robots + 1, max(2, round(COLUMNS * min(1.5, height / width) ** 0.5)))
+    rows = -(-(robots + 1) // columns)
+    panel_height = PANEL_WIDTH * min(max(height / width, 0.25), 2.5) + 0.4
+    size = (PANEL_WIDTH * columns, panel_height * rows)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).flatten()
+    for empty in axes[robots + 1 :]:
+        empty.set_axis_off()
+    colors = [robot_color(robot) for robot in range(robots)]
+    truth = _Panel(axes[0], first.obstacles.shape, colors, "")
+    own = [_Panel(axes[1 + i], first.obstacles.shape, [c], c) for i, c in enumerate(colors)]
+    target = target_cells(torch.from_numpy(first.obstacles), torch.from_numpy(first.position))
+    reachable = target.numpy()
+    path = np.stack([frame.position for frame in frames], 1)
 
     def draw(t: int) -> None:
-        truth, *own = axes[0]
         frame = frames[t]
-        _draw_grid(truth, frame.obstacles.astype(int), f"step {t}")
-        for robot, (panel, color) in enumerate(_colored(own)):
-            path = np.array([f.position[robot] for f in frames[: t + 1]])
-            known = (frame.maps[robot] >= 0).sum() / num_cells
-            _draw_grid(panel, frame.maps[robot], f"robot {robot}: {known:.0%} known", color)
-            for place in (truth, panel):
-                place.plot(path[:, 1], path[:, 0], color=color, alpha=0.75, linewidth=1.2)
-                place.plot(*path[-1, ::-1], "o", color=color, markersize=6)
-            if frame.merged[robot]:  # a ring around robots that exchange maps
-                truth.plot(*path[-1, ::-1], "o", color=color, markersize=12, fillstyle="none")
+        paths = path[:, : t + 1]
+        truth.draw(frame.obstacles.astype(int), [*paths], frame.merged.tolist(), f"step {t}")
+        for robot, panel in enumerate(own):
+            known = (frame.maps[robot] >= 0)[reachable].mean()
+            title = f"robot {robot}: {known:.0%} known"
+            panel.draw(frame.maps[robot], [paths[robot]], [False], title)
 
     return figure, draw
-
-
-def _colored(panels: Sequence[Axes]) -> Iterator[tuple[Axes, str]]:
-    return ((panel, COLORS[i % len(COLORS)]) for i, panel in enumerate(panels))
-
-
-def _draw_grid(axes: Axes, grid: np.ndarray, title: str, color: str = "") -> None:
-    """Draw a grid of -1 unknown, 0 free, 1 occupied; a robot's free cells in its colour."""
-    axes.clear()
-    shades = [UNKNOWN_COLOR, _pale(color) if color else FREE_COLOR, OBSTACLE_COLOR]
-    axes.imshow(grid, cmap=ListedColormap(shades), vmin=-1, vmax=1)
-    axes.set_title(title, color=color or "black")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(True)
 
 
 def _pale(color: str) -> str:

@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.evaluation.replay.data import episode_data
 from marl_explore.utils.files import write_text
-from marl_explore.utils.palette import COLORS
+from marl_explore.utils.palette import robot_color
 
 
 def write_replay(
@@ -45,7 +45,7 @@ def write_replay(
     if not episodes:
         raise ValueError("episodes is empty: a replay shows at least one")
     replay = {
-        "colors": COLORS,
+        "colors": [robot_color(robot) for robot in range(config.num_agents)],
         "episodes": [
             {"name": name} | episode_data(steps, config, arena) for name, steps in episodes.items()
         ],
