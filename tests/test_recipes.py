@@ -254,6 +254,20 @@ def test_leaderboard_goes_on_where_it_was(tmp_path):
     assert "Traceback" not in refused.stderr
 
 
+def test_a_leaderboard_of_map_files(tmp_path):
+    (tmp_path / "maps").mkdir()
+    for name in "ab":
+        (tmp_path / "maps" / f"{name}.txt").write_text("........\n..##....\n........\n")
+    words = ("nearest-timer", "random", "--suites", "maps", "--steps", "40", "--out", "board")
+    for _ in range(2):  # the second time every cell is there
+        done = recipe("leaderboard.py", *words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    cells = sorted(path.name for path in (tmp_path / "board" / "cells").iterdir())
+    assert [name.partition("--maps-")[0] for name in cells] == ["nearest-timer", "random"]
+    told = json.loads((tmp_path / "board" / "cells" / cells[0]).read_text())
+    assert told["settings"]["num_arenas"] == 2
+
+
 def test_a_leaderboard_without_further_words_is_of_all_suites(tmp_path):
     few = ("--num-arenas", "1", "--steps", "2")
     done = recipe("leaderboard.py", "random", *few, "--out", "board", cwd=tmp_path)

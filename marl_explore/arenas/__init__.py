@@ -19,7 +19,7 @@ from marl_explore.arenas.maps import MapArenas, load_map
 from marl_explore.arenas.mazes import Mazes
 from marl_explore.arenas.mixed import Mixed
 from marl_explore.arenas.rooms import Rooms
-from marl_explore.arenas.sources import MapSource, is_source
+from marl_explore.arenas.sources import MAP_STEPS, MapSource, is_source, map_suite
 from marl_explore.arenas.suites import Suite, list_suites, suite
 from marl_explore.arenas.uniform import Uniform
 from marl_explore.config.arena import ANY_SIZE, ArenaConfig
@@ -46,13 +46,10 @@ __all__ = [
     "is_source",
     "list_suites",
     "load_map",
+    "map_suite",
     "resolve",
     "suite",
 ]
-
-
-MAP_STEPS = 1500
-"""Length of an evaluation on map files."""
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,13 @@ from torch import Tensor
 
 from marl_explore.arenas.map_files import ENDINGS, read_yaml_image
 from marl_explore.arenas.maps import LoadedMap, MapArenas, Reading
+from marl_explore.arenas.suites import Suite
 from marl_explore.config.arena import ArenaConfig
 
 STARTS = ("clustered", "scattered", "marked")
 """How robots start where nothing else is asked for: together, in the largest connected part."""
+MAP_STEPS = 1500
+"""Length of an evaluation on map files."""
 _NUMBERS = ("resolution", "max_occupied", "threshold")
 
 
@@ -140,6 +144,42 @@ def _around(loaded: LoadedMap, robots: int) -> Tensor:
             break  # the arena says that there are too few
         place = grown
     return place
+
+
+@dataclass(frozen=True)
+class MapSuite(Suite):
+    """Map files as a suite: every map once, in the order of their names."""
+
+    text: str = ""
+    """The name of the source."""
+
+    @property
+    def id(self) -> str:
+        """The name of the file or folder, and the beginning of the fingerprint."""
+        return f"{self.name}-{self.digest[:8]}"
+
+    @property
+    def arenas(self) -> str:
+        """The name of the source."""
+        return self.text
+
+
+def map_suite(text: str, num_agents: int = ArenaConfig.num_agents) -> MapSuite:
+    """The suite of the maps that a name gives, for the paper's robots."""
+    source = MapSource.parse(text)
+    config = source.fit(replace(ArenaConfig(), num_agents=num_agents))
+    arenas = source.arenas(config, in_order=True)
+    content = hashlib.sha256(f"{tuple(arenas.maps.shape)} {source.starts}".encode())
+    content.update(arenas.maps.numpy().tobytes())
+    return MapSuite(
+        name=Path(text.partition("?")[0]).name,
+        version=0,
+        config=config,
+        make=partial(source.arenas, in_order=True),
+        digest=content.hexdigest(),
+        steps=MAP_STEPS,
+        text=text,
+    )
 
 
 def is_source(arenas: object) -> bool:

@@ -45,6 +45,11 @@ class Suite:
         """Name and version, such as "rooms-32-v1"."""
         return f"{self.name}-v{self.version}"
 
+    @property
+    def arenas(self) -> str:
+        """What ``ExplorationEnv(arenas=...)`` knows it by."""
+        return self.id
+
     def fit(self, config: ArenaConfig) -> ArenaConfig:
         """The robots and ranges of ``config`` in arenas of the suite's size and density."""
         return replace(config, **{name: getattr(self.config, name) for name in _ARENA_FIELDS})

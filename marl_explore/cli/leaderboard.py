@@ -37,7 +37,7 @@ class Arguments:
     row from several training seeds; bound is a lower bound on the steps of any team; default: all
     planners and bound."""
     suites: tuple[str, ...] = ()
-    """Suites of arenas; default: all."""
+    """Suites of arenas, or files and folders of maps; default: all suites."""
     num_arenas: int | None = None
     """Test arenas per suite; default: 200, 50 above 12 x 12 cells, 20 above 24 x 24 cells."""
     steps: int | None = None
@@ -67,7 +67,8 @@ def run(arguments: Arguments) -> None:
     """Measure what is missing, rank, and write tables and report."""
     import torch
 
-    from marl_explore.arenas.suites import SUITES, suite
+    from marl_explore.arenas import default_number, is_source, map_suite, suite
+    from marl_explore.arenas.suites import SUITES
     from marl_explore.evaluation import leaderboard
     from marl_explore.planners import PLANNERS
     from marl_explore.utils import records
@@ -77,10 +78,14 @@ def run(arguments: Arguments) -> None:
     if not (arguments.out / "cells").is_dir():
         records.require_new(arguments.out)
     entries = leaderboard.parse_entries(arguments.policies or (*PLANNERS, leaderboard.BOUND))
-    suites = [suite(name) for name in arguments.suites] or SUITES
+    suites = [
+        map_suite(name) if is_source(name) else suite(name) for name in arguments.suites
+    ] or SUITES
 
     def cell(policy: str, place: Suite) -> Cell:
         num_arenas = next((n for side, n in ARENAS if place.config.num_cells <= side**2), 20)
+        if is_source(place.arenas):
+            num_arenas = default_number(place.arenas)
         return leaderboard.Cell(
             policy,
             place,

@@ -171,7 +171,7 @@ def _played(cell: Cell) -> dict[str, Any]:
         num_arenas=cell.num_arenas,
         steps=cell.steps,
         seed=cell.seed,
-        arenas=cell.suite.id,
+        arenas=cell.suite.arenas,
     )
     return {
         "reference": bool(getattr(policy, "reference", False)),
@@ -184,7 +184,7 @@ def _bound(cell: Cell) -> dict[str, Any]:
     """The lower bound on the number of steps; there are no episodes and no other measures."""
     config = cell.suite.config
     env = ExplorationEnv(
-        config, cell.num_arenas, arenas=cell.suite.id, seed=cell.seed, stream=TEST_STREAM
+        config, cell.num_arenas, arenas=cell.suite.arenas, seed=cell.seed, stream=TEST_STREAM
     )
     steps = counting_bound(config, env.reset())
     return {

@@ -182,7 +182,7 @@ def test_a_team_s_reward_is_its_mean_and_its_end_the_environment_s(tmp_path):
 def test_actors_are_updated_one_after_the_other(tmp_path, monkeypatch):
     run = experiment(task(), HappoConfig.get_from_yaml(), tmp_path, max_n_iters=1)
     loss, seen = run.losses["agents"], []
-    monkeypatch.setattr(loss, "update_order", lambda: ["agents_2", "agents_0", "agents_1"])
+    monkeypatch.setattr(loss, "update_order", lambda *_: ["agents_2", "agents_0", "agents_1"])
     original = loss.actor_loss
 
     def watched(data, name):

@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 
 from marl_explore import ArenaConfig
+from marl_explore.cli import explore
 from marl_explore.core.frontier import frontier_mask
 from marl_explore.evaluation.episodes import watch
 from marl_explore.evaluation.registry import find_policy
@@ -379,3 +380,18 @@ def test_dark_mode_has_colors_of_its_own(page):
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": dark})
     page.wait(lambda: page.picture != light)
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_the_page_of_an_explored_map_opens_and_ends_with_all_of_it_known(browser, tmp_path):
+    (tmp_path / "hall.txt").write_text("........\n.##..#..\n......#.\n")
+    words = ("--robots", "2", "--policy", "nearest-timer", "--out", str(tmp_path / "out"))
+    explore.run(explore.parse([str(tmp_path / "hall.txt"), *words]))
+    browser.get((tmp_path / "out" / "hall.html").as_uri())
+    page = Page(browser)
+    browser.execute_script(
+        "const s = document.querySelector('#scrub'); s.value = s.max;"
+        "s.dispatchEvent(new Event('input'))"
+    )
+    page.wait(lambda: page.step == page.last > 0)
+    assert "100" in browser.find_element("css selector", "body").text
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
