@@ -36,7 +36,7 @@ class CellFit(NamedTuple):
     """Share of that part's cells that lie behind walls which the reading opened."""
 
 
-def pixel_side(path: Path, file: MapFile, cell_size: float | None) -> float | None:
+def pixel_side(path: Path, file: MapFile) -> float | None:
     """Side of a pixel (metres); None: a pixel is a cell."""
     drawn = path.suffix.lower() not in IMAGES or max(file.occupied.shape) <= DRAWN_SIDE
     return file.resolution or (None if drawn else PIXEL_M)

@@ -12,13 +12,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from marl_explore.arenas.map_files import ENDINGS, read_yaml_image
-from marl_explore.arenas.maps import LoadedMap, MapArenas, Reading
+from marl_explore.arenas.fitting import WARNING, drivable, grid_fit, pixel_side
+from marl_explore.arenas.map_files import ENDINGS, MapFile, read_yaml_image
+from marl_explore.arenas.maps import LoadedMap, MapArenas, Reading, to_cells
 from marl_explore.arenas.suites import Suite
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require_positive
 
 STARTS = ("clustered", "scattered", "marked")
 """How robots start where nothing else is asked for: together, in the largest connected part."""
+ROBOT_RADIUS = 0.2
+"""Radius of the robots for which a reading is judged (metres)."""
 MAP_STEPS = 1500
 """Length of an evaluation on map files."""
 _NUMBERS = ("resolution", "max_occupied", "threshold")
@@ -112,7 +116,7 @@ class MapSource:
         """Start cells of one map, int64 [N, 2]."""
         marks = loaded.marks
         if self.starts not in STARTS:
-            resolution = self.reading.read(path).resolution or config.cell_size
+            resolution = self.file(path).resolution or config.cell_size
             pixels = torch.tensor(parse_pixels(self.starts), dtype=torch.float64) + 0.5
             marks = (pixels * (resolution / config.cell_size)).long()
         if len(marks) < config.num_agents:
@@ -121,10 +125,41 @@ class MapSource:
             )
         return marks[: config.num_agents]
 
+    def file(self, path: Path) -> MapFile:
+        """The pixels of one map; those of an image without a resolution get the usual one."""
+        file = self.reading.read(path)
+        return file._replace(resolution=pixel_side(path, file))
+
+    def losses(
+        self, cell_size: float, radius: float = ROBOT_RADIUS
+    ) -> dict[str, tuple[float, float]]:
+        """Maps of which a reading in cells of this size cuts off or opens much, by name.
+
+        Args:
+            cell_size: side of a cell (metres).
+            radius: of a robot (metres).
+
+        Returns:
+            ``CellFit.lost`` and ``CellFit.opened`` of maps where one is above ``fitting.WARNING``.
+        """
+        found: dict[str, tuple[float, float]] = {}
+        for path in self.paths:
+            file = self.file(path)
+            if file.resolution is None:
+                continue  # a symbol is a cell
+            reach = drivable(file.occupied, radius / file.resolution)
+            most = self.reading.max_occupied
+            fit = grid_fit(file.occupied, reach, cell_size / file.resolution, most)
+            if reach.any() and max(fit.lost, fit.opened) > WARNING:
+                found[path.name] = fit.lost, fit.opened
+        return found
+
 
 @lru_cache(maxsize=8)
 def _load(source: MapSource, cell_size: float) -> tuple[LoadedMap, ...]:
-    return tuple(source.reading.load(path, cell_size) for path in source.paths)
+    require_positive("cell_size", cell_size, "metres")
+    most = source.reading.max_occupied
+    return tuple(to_cells(path, source.file(path), cell_size, most) for path in source.paths)
 
 
 def _padded(cells: Tensor, size: tuple[int, int], value: bool) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.util import find_spec
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -85,9 +86,25 @@ def fitted(arena: ArenaConfig, arenas: str) -> ArenaConfig:
     """The robots of ``arena`` in arenas of the suite's size; other arenas take any size."""
     if arenas in ANY_SIZE:
         return arena
-    from marl_explore.arenas import fit
+    from marl_explore.arenas import fit, is_source
 
+    if is_source(arenas):
+        _warn_of_losses(arenas, arena.cell_size)
     return fit(arena, arenas)
+
+
+@lru_cache
+def _warn_of_losses(arenas: str, cell_size: float) -> None:
+    """Say, once, which maps a reading in cells of this size cuts up or opens."""
+    from marl_explore.arenas import MapSource
+
+    for name, (lost, opened) in MapSource.parse(arenas).losses(cell_size).items():
+        print(
+            f"warning: cells of {cell_size:g} m cut {lost:.0%} of the area of {name} off, and "
+            f"{opened:.0%} lies behind walls that they open: marl-explore explore {name} chooses "
+            "cells that fit",
+            file=sys.stderr,
+        )
 
 
 def default_task(words: Sequence[str]) -> tuple[ArenaConfig, str]:

@@ -20,14 +20,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from tqdm import tqdm
 
 from marl_explore.cli.common import OPTIONS
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer, require_positive
 
 if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
     from marl_explore.arenas.fitting import CellFit
     from marl_explore.arenas.maps import MapArenas
+    from marl_explore.evaluation.episodes import Actor
 
 STEPS_PER_CELL = 2
 """Most steps of an exploration, per free cell of the map."""
@@ -98,8 +102,6 @@ def parse(words: Sequence[str], prog: str = "marl-explore explore") -> Arguments
 
 def run(arguments: Arguments) -> None:
     """Explore every map; print a table, write figures, pages and a CSV."""
-    from tqdm import tqdm
-
     from marl_explore.arenas.sources import map_files
     from marl_explore.utils import records, tables
 
@@ -136,7 +138,7 @@ def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
         arguments.start_value,
     )
     file = reading.read(path)
-    side = fitting.pixel_side(path, file, arguments.cell_size)
+    side = fitting.pixel_side(path, file)
     cell = arguments.cell_size
     if side is None:
         cell = cell or ArenaConfig.cell_size
@@ -201,7 +203,9 @@ def _explore(
     start = time.perf_counter()
     policy = find_policy(arguments.policy, config)
     most = arguments.steps or max(300, STEPS_PER_CELL * free)
-    steps = watch(policy, config, steps=most, seed=arguments.seed, arenas=arenas)
+    with tqdm(desc=path.name, unit=" steps", leave=False, disable=None, delay=1) as bar:
+        watched = _Counted(policy, bar)
+        steps = watch(watched, config, steps=most, seed=arguments.seed, arenas=arenas)
     seconds = time.perf_counter() - start
     episodes = measure_steps(steps, config)
     known = metrics.coverage(episodes)["largest"][0]
@@ -218,6 +222,18 @@ def _explore(
         "communication_share": metrics.communication_share(episodes).pooled,
         "seconds": seconds,
     }
+
+
+class _Counted:
+    """A policy whose steps a progress bar shows."""
+
+    def __init__(self, policy: Actor, bar: tqdm[Any]) -> None:
+        self.policy, self.bar = policy, bar
+        self.shares_maps = getattr(policy, "shares_maps", False)
+
+    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
+        self.bar.update()
+        return self.policy(observation)
 
 
 def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:

@@ -10,6 +10,7 @@ from PIL import Image
 from marl_explore import ArenaConfig, ExplorationEnv, find_policy, make_env, record
 from marl_explore.arenas import MapSource, default_config, default_steps, fit, in_order, is_source
 from marl_explore.core.hashing import stream_seed
+from tests.arenas.test_fitting import two_rooms
 from tests.helpers.drawing import cells
 
 SMALL = "0.#\n1..\n"
@@ -133,3 +134,15 @@ def test_sources_that_cannot_be_are_refused(folder, tmp_path_factory):
         ExplorationEnv(three, arenas=f"{folder}?starts=marked")
     with pytest.raises(ValueError, match="outside the arena|is an obstacle"):
         ExplorationEnv(one, arenas=f"{folder}?starts=3,4")
+
+
+def test_what_a_reading_loses_is_told(tmp_path):
+    plan = np.where(two_rooms(door=10, offset=3, side=140), 0, 255).astype(np.uint8)
+    Image.fromarray(plan).save(tmp_path / "plan.png")
+    source = MapSource.parse(str(tmp_path))
+    assert source.losses(0.2) == {}
+    assert source.losses(0.5)["plan.png"][0] == pytest.approx(0.5, abs=0.1)
+    assert source.fit(ArenaConfig()).height == 14  # pixels of an image are 0.05 m
+    (tmp_path / "plan.png").unlink()
+    (tmp_path / "a.txt").write_text(SMALL)
+    assert MapSource.parse(str(tmp_path)).losses(0.5) == {}
