@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from marl_explore.arenas.generator import Board
-from marl_explore.arenas.map_files import IMAGES, MapFile
+from marl_explore.arenas.images import MapFile
+from marl_explore.arenas.map_files import IMAGES
 from marl_explore.arenas.maps import resample
 from marl_explore.config.arena import TOLERANCE
 

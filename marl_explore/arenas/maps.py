@@ -14,7 +14,8 @@ from torch import Tensor
 
 from marl_explore.arenas.components import largest_component
 from marl_explore.arenas.generator import OBSTACLES, ArenaGenerator, Board
-from marl_explore.arenas.map_files import Intervals, MapFile, Values, make_values, read_map
+from marl_explore.arenas.images import Intervals, MapFile, Values, make_values
+from marl_explore.arenas.map_files import read_map
 from marl_explore.config.arena import TOLERANCE, ArenaConfig
 from marl_explore.config.checks import require_coverage, require_positive
 from marl_explore.core.hashing import combine

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from marl_explore.arenas.fitting import WARNING, drivable, grid_fit, pixel_side
-from marl_explore.arenas.map_files import ENDINGS, MapFile, read_yaml_image
+from marl_explore.arenas.images import MapFile
+from marl_explore.arenas.map_files import ENDINGS, read_yaml_image
 from marl_explore.arenas.maps import LoadedMap, MapArenas, Reading, to_cells
 from marl_explore.arenas.suites import Suite
 from marl_explore.config.arena import ArenaConfig

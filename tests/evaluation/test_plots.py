@@ -10,11 +10,12 @@ import torch
 from matplotlib.figure import Figure
 from PIL import Image
 
-from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore import ArenaConfig, ExplorationEnv, MapArenas
 from marl_explore.evaluation import plots, stats
-from marl_explore.evaluation.episodes import play
+from marl_explore.evaluation.episodes import play, watch
 from marl_explore.evaluation.plots.style import line_styles
 from marl_explore.evaluation.registry import find_policy
+from marl_explore.utils.palette import UNKNOWN_COLOR, robot_color
 
 SMALL = ArenaConfig(height=5, width=7, num_agents=2)
 
@@ -205,3 +206,34 @@ def test_episode_figure_draws_the_arena_every_map_and_every_path(drawn):
         way = torch.stack([step["agents", "position"][1, robot] for step in steps])
         assert axes.lines[0].get_ydata().tolist() == way[:, 0].tolist()
         assert axes.lines[0].get_xdata().tolist() == way[:, 1].tolist()
+
+
+def test_every_robot_of_a_large_team_has_a_colour_of_its_own():
+    colors = [robot_color(robot) for robot in range(24)]
+    assert len({*colors}) == 24
+    assert all(len(color) == 7 for color in colors)
+    assert UNKNOWN_COLOR not in colors
+
+
+@pytest.mark.parametrize(("robots", "size"), [(10, (12, 12)), (3, (9, 40)), (2, (40, 9))])
+def test_episode_figures_stay_readable(drawn, robots, size):
+    config = ArenaConfig(*size, num_agents=robots)
+    plots.episode_figure(watch(find_policy("random", config), config, steps=2), "unused")
+    (figure,) = drawn
+    width, height = figure.get_size_inches()
+    assert width <= 14
+    assert height <= 14
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert len(shown) == robots + 1
+    assert [axes.get_title().split(":")[0] for axes in shown[1:]] == [
+        f"robot {robot}" for robot in range(robots)
+    ]
+
+
+def test_a_robot_with_a_complete_map_is_said_to_know_all_of_it(drawn):
+    obstacles = torch.zeros(1, 5, 8, dtype=torch.bool)
+    obstacles[..., 5:] = True  # nobody will ever see the inside of this wall
+    arenas = MapArenas(ArenaConfig(5, 8, 0, num_agents=1), maps=obstacles)
+    policy = find_policy("nearest", arenas.config)
+    plots.episode_figure(watch(policy, None, steps=60, arenas=arenas), "unused")
+    assert drawn[0].axes[1].get_title() == "robot 0: 100% known"

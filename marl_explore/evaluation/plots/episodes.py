@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from tensordict import TensorDictBase
+from tqdm import tqdm
 
 from marl_explore.core.mapping import target_cells
 from marl_explore.evaluation.plots.style import STYLE, save
@@ -80,7 +81,7 @@ def _write_gif(
     """Frames drawn once each: matplotlib's own writer draws every one twice."""
     canvas = FigureCanvasAgg(figure)
     pictures = []
-    for t in range(count):
+    for t in tqdm(range(count), desc=path.name, unit=" frames", disable=None, delay=1):
         draw(t)
         canvas.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
