@@ -151,8 +151,9 @@ def _panels(frames: Sequence[_Frame]) -> tuple[Figure, Callable[[int], None]]:
     robots, (height, width) = len(first.position), first.obstacles.shape
     columns = min(robots + 1, max(2, round(COLUMNS * min(1.5, height / width) ** 0.5)))
     rows = -(-(robots + 1) // columns)
-    panel_height = PANEL_WIDTH * min(max(height / width, 0.25), 2.5) + 0.4
-    size = (PANEL_WIDTH * columns, panel_height * rows)
+    panel_width = PANEL_WIDTH * min(2.0, max(1.0, (width / height) ** 0.5))
+    panel_height = panel_width * min(max(height / width, 0.08), 2.5) + 0.4
+    size = (panel_width * columns, panel_height * rows)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).flatten()
     for empty in axes[robots + 1 :]:
