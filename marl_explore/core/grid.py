@@ -42,20 +42,6 @@ def flat_cell(position: Tensor, stride: int) -> Tensor:
 
 
 @lru_cache
-def squares(height: int, width: int, radius: int, device: torch.device) -> Tensor:
-    """Cells of the square around each cell of a flattened grid, int64 [H W, (2k + 1)^2].
-
-    Cells outside the grid are replaced by the centre cell.
-    """
-    cell = torch.arange(height * width, device=device).unsqueeze(-1)
-    steps = torch.arange(-radius, radius + 1, device=device)
-    row = cell // width + steps.repeat_interleave(len(steps))
-    column = cell % width + steps.repeat(len(steps))
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    return torch.where(inside, row * width + column, cell)
-
-
-@lru_cache
 def other_robots(robots: int, device: torch.device) -> Tensor:
     """1 for every pair of different robots, 0 for a robot and itself, int64 [N, N]."""
     return 1 - torch.eye(robots, dtype=torch.int64, device=device)

@@ -20,7 +20,6 @@ from marl_explore.core.grid import (
     compass,
     flat_cell,
     square_steps,
-    squares,
     straight_distances,
 )
 
@@ -71,6 +70,20 @@ def _places(radius: int, device: torch.device) -> Tensor:
     return torch.tensor(cells, device=device)
 
 
+@lru_cache
+def cells_seen_from(height: int, width: int, radius: int, device: torch.device) -> Tensor:
+    """Cells of the square around each cell of a flattened grid, int64 [H W, (2k + 1)^2].
+
+    Cells outside the grid are replaced by the centre cell.
+    """
+    cell = torch.arange(height * width, device=device).unsqueeze(-1)
+    steps = torch.arange(-radius, radius + 1, device=device)
+    row = cell // width + steps.repeat_interleave(len(steps))
+    column = cell % width + steps.repeat(len(steps))
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    return torch.where(inside, row * width + column, cell)
+
+
 def field_of_view(view: Tensor) -> Tensor:
     """Each robot's field of view: obstacles, other robots and unseen cells are 1.
 
@@ -116,7 +129,7 @@ def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False)
     # cells that cannot be seen are replaced by the own cell, which is known and not a wall
     height, width = grid.shape[-2:]
     own = flat_cell(position, width)
-    cells = squares(height, width, view.shape[-1] // 2, view.device)
+    cells = cells_seen_from(height, width, view.shape[-1] // 2, view.device)
     view = view.flatten(-2)
     cell = cells.index_select(0, own.flatten()).view(view.shape)
     if occlusion:

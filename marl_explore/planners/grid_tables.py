@@ -8,8 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import COMPASS, flat_cell, square_steps, squares
+from marl_explore.core.grid import COMPASS, flat_cell, square_steps
 from marl_explore.core.hashing import combine
+from marl_explore.core.sensing import cells_seen_from
 
 _CODES = 2**32
 """Sums of hashes below this are exact in float64 for every field of view."""
@@ -50,8 +51,8 @@ def grid_tables(height: int, width: int, radius: int, device: torch.device) -> G
     return GridTables(
         near=torch.where(inside, flat_cell(place, width), own),
         inside=inside,
-        seen=squares(height, width, radius, device),
-        around=squares(height, width, radius + 1, device),
+        seen=cells_seen_from(height, width, radius, device),
+        around=cells_seen_from(height, width, radius + 1, device),
         views=views.scatter_(1, in_view, 1).T.contiguous(),
         place=flat_cell(cells, 2 * width),
     )
