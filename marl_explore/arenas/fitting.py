@@ -45,7 +45,7 @@ def pixel_side(path: Path, file: MapFile) -> float | None:
 
 def drivable(occupied: Board, radius_pixels: float) -> Board:
     """Pixels that the middle of a round robot can reach, the largest connected part, [h, w]."""
-    return _largest(_clearance(occupied) > max(radius_pixels, 0.5))
+    return _reached(_clearance(occupied), radius_pixels)
 
 
 def _clearance(occupied: Board) -> NDArray[np.float64]:
@@ -54,9 +54,12 @@ def _clearance(occupied: Board) -> NDArray[np.float64]:
     return room
 
 
-def _narrowest(occupied: Board, radius_pixels: float) -> float:
+def _reached(room: NDArray[np.float64], radius_pixels: float) -> Board:
+    return _largest(room > max(radius_pixels, 0.5))
+
+
+def _narrowest(room: NDArray[np.float64], radius_pixels: float) -> float:
     """Width of the narrowest way that joins most of what a robot can drive on (pixels)."""
-    room = _clearance(occupied)
     low, high = max(radius_pixels, 0.5), float(room.max())
     while high - low > 0.5:  # the widest robot that still reaches most places with room for it
         middle = (low + high) / 2
@@ -70,6 +73,14 @@ def grid_fit(
     occupied: Board, reach: Board, pixels_per_cell: float, max_occupied: float = 0.0
 ) -> CellFit:
     """What a grid keeps of the pixels ``reach`` that a robot can drive on, bool [h, w] both."""
+    connected = _component_of(~occupied, reach)
+    return _grid_fit(occupied, reach, connected, pixels_per_cell, max_occupied)
+
+
+def _grid_fit(
+    occupied: Board, reach: Board, connected: Board, pixels_per_cell: float, max_occupied: float
+) -> CellFit:
+    """As ``grid_fit``, given the free pixels that are connected with ``reach``."""
     free = resample(occupied, pixels_per_cell) <= max_occupied + TOLERANCE
     area = resample(reach, pixels_per_cell)
     labels, count = ndimage.label(free)
@@ -79,7 +90,6 @@ def grid_fit(
     part = labels == best
     around = ndimage.binary_dilation(part, np.ones((3, 3)))
     lost = float(area[~around].sum() / max(area.sum(), TOLERANCE))
-    connected = _component_of(~occupied, reach)
     behind = part & (resample(connected, pixels_per_cell) <= 0)
     return CellFit(pixels_per_cell, lost, float(behind.sum() / part.sum()))
 
@@ -97,22 +107,25 @@ def fit_cells(occupied: Board, radius_pixels: float, max_occupied: float = 0.0) 
     Raises:
         ValueError: when the robot fits nowhere.
     """
-    reach = drivable(occupied, radius_pixels)
+    room = _clearance(occupied)
+    reach = _reached(room, radius_pixels)
     if not reach.any():
         raise ValueError(
             f"a robot with a radius of {radius_pixels:.3g} pixels fits nowhere on the map"
         )
+    connected = _component_of(~occupied, reach)
     least = max(1, int(np.ceil(2 * radius_pixels)))
     # a cell of a door lies between its posts
-    widest = min(max(least, int(_narrowest(occupied, radius_pixels)) + 1), min(occupied.shape))
+    widest = max(least, min(int(_narrowest(room, radius_pixels)) + 1, *occupied.shape))
     best: CellFit | None = None
     for pixels in range(widest, least - 1, -1):
-        found = grid_fit(occupied, reach, pixels, max_occupied)
+        found = _grid_fit(occupied, reach, connected, pixels, max_occupied)
         if found.lost <= KEPT and found.opened <= WARNING:
             return found
         if best is None or found.lost < best.lost:
             best = found
-    return best or grid_fit(occupied, reach, least, max_occupied)
+    assert best is not None  # the range holds at least one size
+    return best
 
 
 def _largest(cells: Board) -> Board:

@@ -15,7 +15,7 @@ import csv
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -125,7 +125,7 @@ def run(arguments: Arguments) -> None:
 def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
     """Settings and arenas of one map; says what was chosen, and what the reading loses."""
     from marl_explore.arenas import fitting
-    from marl_explore.arenas.maps import Reading, to_cells
+    from marl_explore.arenas.maps import Reading
     from marl_explore.arenas.sources import MapSource
     from marl_explore.evaluation.registry import find_policy
 
@@ -137,17 +137,17 @@ def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
         arguments.occupied,
         arguments.start_value,
     )
-    file = reading.read(path)
-    side = fitting.pixel_side(path, file)
-    cell = arguments.cell_size
+    source = MapSource((path,), reading, arguments.starts)
+    file = source.file(path)
+    side, cell = file.resolution, arguments.cell_size
     if side is None:
         cell = cell or ArenaConfig.cell_size
         print(f"{path.name}: a pixel is a cell of {cell:g} m")
     else:
         radius, most = arguments.robot_radius / side, arguments.max_occupied
-        found = fitting.fit_cells(file.occupied, radius, most) if cell is None else None
-        if found is None:
-            assert cell is not None
+        if cell is None:
+            found = fitting.fit_cells(file.occupied, radius, most)
+        else:
             reach = fitting.drivable(file.occupied, radius)
             found = fitting.grid_fit(file.occupied, reach, cell / side, most)
         chosen = "" if cell else ", chosen"
@@ -156,7 +156,7 @@ def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
         _warn(path, found, file.occupied, side, arguments)
     paper = ArenaConfig()
     scale = cell / paper.cell_size
-    loaded = to_cells(path, file._replace(resolution=side), cell, arguments.max_occupied)
+    (loaded,) = source.load(cell)
     height, width = loaded.obstacles.shape
     config = ArenaConfig(
         height,
@@ -168,9 +168,6 @@ def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
         communication_range=paper.communication_range * scale,
     )
     find_policy(arguments.policy, config)
-    if file.resolution is None and side is not None:
-        reading = replace(reading, resolution=side)
-    source = MapSource((path,), reading, arguments.starts)
     return config, source.arenas(config, in_order=True)
 
 
@@ -184,10 +181,13 @@ def _warn(path: Path, found: CellFit, occupied: Any, side: float, arguments: Arg
     advice = "no cells as wide as the robot keep it"
     if better.lost <= fitting.WARNING:
         advice = f"--cell-size {better.pixels_per_cell * side:g} --max-occupied 0 keeps it"
-    for share, what in ((found.lost, "is cut off from the rest"), (found.opened, "lies behind")):
+    shares = {
+        "is cut off from the rest": found.lost,
+        "lies behind walls that the reading opens": found.opened,
+    }
+    for what, share in shares.items():
         if share > fitting.WARNING:
-            walls = "" if what.startswith("is") else " walls that the reading opens"
-            print(f"  warning: {share:.0%} of the area of {path.name} {what}{walls}; {advice}")
+            print(f"  warning: {share:.0%} of the area of {path.name} {what}; {advice}")
 
 
 def _explore(

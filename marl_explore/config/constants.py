@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
 """Cell values of an occupancy map (int8)."""
@@ -12,6 +12,10 @@ COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 NUM_DIRECTIONS = len(COMPASS)
 STAY, COMMUNICATE = 8, 9
 NUM_ACTIONS = 10
+
+Ability = Literal["fov", "fpr", "net", "communication"]
+ABILITIES: tuple[Ability, ...] = get_args(Ability)
+"""What can be ablated: parts of the observation, and communication."""
 
 FORBIDDEN_LOGIT = -1e4
 """Logit of an action that is never chosen, in every precision."""

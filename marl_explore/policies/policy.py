@@ -12,10 +12,11 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import Ability
 from marl_explore.core.frontier import Normalization
 from marl_explore.policies.actors import ACTION_MASK, TeamActor
 from marl_explore.policies.networks import Network, NetworkSettings
-from marl_explore.policies.networks.ablation import Ability, Ablated
+from marl_explore.policies.networks.ablation import Ablated
 from marl_explore.transforms.features import make_features
 
 FOV: NestedKey = ("agents", "observation", "fov")

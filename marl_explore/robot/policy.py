@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import (
+    ABILITIES,
     COMMUNICATE,
     FORBIDDEN_LOGIT,
     NORMALIZATIONS,
@@ -27,7 +28,6 @@ from marl_explore.robot.observation import Observation
 
 FORMAT = "marl_explore.actors/1"
 _ALLOWED = {"twin": tuple(TWINS), "fpr": NORMALIZATIONS}
-_ABILITIES = ("fov", "fpr", "net", "communication")
 
 
 class ExportedPolicy:
@@ -143,6 +143,6 @@ def _check_spec(spec: Mapping[str, Any]) -> None:
     for name, allowed in _ALLOWED.items():
         if spec[name] not in allowed:
             raise ValueError(f"{name}={spec[name]!r} is not allowed: use one of {allowed}")
-    if not set(spec["ablate"]) <= set(_ABILITIES):
-        raise ValueError(f"ablate={spec['ablate']!r} is not allowed: use some of {_ABILITIES}")
+    if not set(spec["ablate"]) <= set(ABILITIES):
+        raise ValueError(f"ablate={spec['ablate']!r} is not allowed: use some of {ABILITIES}")
     ArenaConfig(**spec["arena"])

@@ -7,8 +7,9 @@ from typing import Literal, get_args
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require, require_coverage, require_integer
+from marl_explore.config.constants import Ability
 from marl_explore.policies.networks import MLP, CriticInput, Network, NetworkSettings
-from marl_explore.policies.networks.ablation import Ability, require_abilities
+from marl_explore.policies.networks.ablation import require_abilities
 
 Algorithm = Literal["happo", "mappo", "ippo"]
 Precision = Literal["float32", "bfloat16"]

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
 
 from marl_explore.config.checks import require
-from marl_explore.config.constants import COMMUNICATE, FORBIDDEN_LOGIT
+from marl_explore.config.constants import ABILITIES, COMMUNICATE, FORBIDDEN_LOGIT, Ability
 from marl_explore.policies.networks.base import Network
-
-Ability = Literal["fov", "fpr", "net", "communication"]
-ABILITIES: tuple[Ability, ...] = get_args(Ability)
-"""What can be ablated: parts of the observation, and communication."""
 
 
 class Ablated(nn.Module):
