@@ -18,6 +18,7 @@ from marl_explore.core import mapping, motion, rewards, sensing, world
 from marl_explore.core.hashing import stream_seed
 from marl_explore.core.links import links
 from marl_explore.core.world import WorldState
+from marl_explore.envs.memory import require_env_memory
 from marl_explore.envs.specs import exploration_specs
 from marl_explore.envs.state import EpisodeState, LastStep
 
@@ -78,6 +79,7 @@ class ExplorationEnv(EnvBase):
         if not isinstance(stream, str):
             raise ValueError(f"stream={stream!r} is not allowed: it must be a string")
         require_coverage("terminate_at_coverage", terminate_at_coverage)
+        require_env_memory(config, num_envs)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
         self.max_steps = max_steps
