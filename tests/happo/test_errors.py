@@ -1,0 +1,444 @@
+"""What the loss refuses: every error names the entry or argument, and says what to do."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import CompositeDistribution, TensorDictModule
+from torch import nn
+from torch.distributions import Categorical, Normal
+from torchrl.modules import ProbabilisticActor
+
+from marl_explore.happo.loss import HAPPOLoss
+from tests.helpers.happo import (
+    ACTIONS,
+    ARENAS,
+    FEATURES,
+    ROBOTS,
+    STEPS,
+    continuous_actor,
+    drone_network,
+    episodes,
+    ground_network,
+    make_team,
+    masked_actor,
+    mlp,
+    rollout,
+    state_critic,
+    with_advantage,
+)
+
+SHAPE = (ARENAS, STEPS)
+
+
+def single_actor(**options):
+    return {"robot": masked_actor(ground_network(), "robot", **options)}
+
+
+# --------------------------------------------------------------------- construction
+
+
+def silent_actor():
+    actor = masked_actor(ground_network(), "agents")
+    actor[-1].return_log_prob = False
+    return actor
+
+
+def two_headed_actor():
+    heads = {"wheel": Categorical, "arm": Categorical}
+    return ProbabilisticActor(
+        TensorDictModule(
+            lambda x: (x, x), ["observation"], [("params", head, "logits") for head in heads]
+        ),
+        in_keys=["params"],
+        distribution_class=CompositeDistribution,
+        distribution_kwargs={"distribution_map": heads},
+        out_keys=[*heads],
+        return_log_prob=True,
+    )
+
+
+def critic_of_an_actor_called_critic():
+    network = ground_network()
+    actor = masked_actor(network, "agents")
+    return HAPPOLoss({"critic": actor}, TensorDictModule(network, ["state"], ["state_value"]))
+
+
+def actors(*names, group="agents"):
+    return {name: masked_actor(ground_network(), group) for name in names}
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (
+            lambda: HAPPOLoss({"a": silent_actor()}),
+            r"actors\['a'\].*no log-probability.*\('agents', 'action'\).*return_log_prob=True",
+        ),
+        (
+            lambda: HAPPOLoss({"a": TensorDictModule(ground_network(), ["x"], ["action"])}),
+            r"actors\['a'\] is a TensorDictModule.*needs a ProbabilisticActor",
+        ),
+        (lambda: HAPPOLoss({"a": ground_network()}), r"actors\['a'\] is a Sequential"),
+        (
+            lambda: HAPPOLoss(single_actor(), mlp(FEATURES, 1)),
+            r"critic is a Sequential.*TensorDictModule\(critic, in_keys",
+        ),
+        (
+            lambda: HAPPOLoss(actors("a", "b")),
+            r"'a' and 'b' both act for \('agents', 'action'\).*group_map=env\.group_map",
+        ),
+        (
+            lambda: HAPPOLoss(actors("a", "b"), views={"a": ("agents", 0)}),
+            "'a' and 'b' both act for",
+        ),
+        (
+            lambda: HAPPOLoss(actors("a", "b"), views={"a": ("agents", 1), "b": ("agents", 1)}),
+            "'a' and 'b' both act for",
+        ),
+        (
+            lambda: HAPPOLoss(actors("a"), views={"a": ("agents", -1)}),
+            r"views\['a'\]=\('agents', -1\).*index of 0 or more",
+        ),
+        (lambda: HAPPOLoss(actors("a"), views={"a": ("agents", 0.0)}), r"views\['a'\]=.*0\.0"),
+        (lambda: HAPPOLoss(actors("a"), views={"a": ("agents", True)}), r"views\['a'\]=.*True"),
+        (lambda: HAPPOLoss(actors("a"), views={"a": 0}), r"views\['a'\]=0 .*\(group, index\)"),
+        (lambda: HAPPOLoss(actors("a"), views={"a": "agents"}), r"views\['a'\]='agents'"),
+        (lambda: HAPPOLoss(single_actor(), clip_epsilon=0), "clip_epsilon=0 .* positive"),
+        (lambda: HAPPOLoss(single_actor(), clip_epsilon=float("nan")), "clip_epsilon=nan"),
+        (
+            lambda: HAPPOLoss(single_actor(), normalize_advantage=True),
+            "normalize_advantage=True is no option.*average_gae",
+        ),
+        (lambda: HAPPOLoss(single_actor(), gamma=0.9), "gamma=0.9 .*make_value_estimator"),
+        (lambda: HAPPOLoss(single_actor(), critic_coeff=0.5), "critic_coeff=0.5 .*scale"),
+        (
+            lambda: HAPPOLoss(single_actor(), loss_critic_type="l1"),
+            "loss_critic_type='l1' .*mean squared error",
+        ),
+        (
+            lambda: HAPPOLoss(single_actor(), clip_epsilom=0.3),  # ClipPPOLoss would ignore it
+            "clip_epsilom=0.3 .*samples_mc_entropy",
+        ),
+        (lambda: HAPPOLoss(actors("robot.0")), r"the name 'robot\.0' is not allowed"),
+        (lambda: HAPPOLoss(actors("items")), "the name 'items' is not allowed"),
+        (lambda: HAPPOLoss(actors("")), "the name '' is not allowed"),
+        (lambda: HAPPOLoss(actors(0)), "the name 0 is not allowed"),
+        (critic_of_an_actor_called_critic, "'critic' and 'critic' share parameters"),
+        (
+            lambda: HAPPOLoss({"a": two_headed_actor()}),
+            r"actors\['a'\] writes the actions \['wheel', 'arm'\].*one entry",
+        ),
+    ],
+)
+def test_parts_are_refused_at_construction(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_two_actors_may_act_on_different_entries_of_one_agent():
+    """A wheel and an arm of the same robot."""
+    parts = {
+        name: ProbabilisticActor(
+            TensorDictModule(
+                nn.Linear(FEATURES, 2), [("agents", "observation")], [("agents", f"{name}_logits")]
+            ),
+            in_keys={"logits": ("agents", f"{name}_logits")},
+            out_keys=[("agents", name)],
+            distribution_class=Categorical,
+            return_log_prob=True,
+            log_prob_key=("agents", f"{name}_log_prob"),
+        )
+        for name in ("wheel", "arm")
+    }
+    loss = HAPPOLoss(parts, views={"wheel": ("agents", 0), "arm": ("agents", 0)})
+    batch = TensorDict({"agents": {"observation": torch.randn(7, 1, FEATURES)}}, [7])
+    with torch.no_grad():
+        for part in parts.values():
+            part(batch)
+    batch["advantage"] = torch.randn(7, 1)
+    assert all(loss.actor_loss(batch, name)["loss_objective"].isfinite() for name in parts)
+
+
+def test_options_of_an_actor_are_passed_on():
+    loss = HAPPOLoss(single_actor(), entropy_bonus=False, reduction="sum")
+    assert not loss.actor_losses["robot"].entropy_bonus
+    assert loss.actor_losses["robot"].reduction == "sum"
+
+
+# ------------------------------------------------------------------ entries of a batch
+
+
+@pytest.mark.parametrize(
+    ("key", "remedy"),
+    [
+        ("advantage", r"loss\.estimate_advantage\(rollout\) first.*set_keys\(advantage=\.\.\.\)"),
+        (("agents", "action_log_prob"), r"return_log_prob=True.*set_keys\(.*sample_log_prob="),
+        (("agents", "action"), r"actor 'robot_1' reads it.*set_keys\(action="),
+        (("agents", "observation"), "actor 'robot_1' reads it"),
+        (("agents", "action_mask"), "actor 'robot_1' reads it"),
+    ],
+)
+@pytest.mark.parametrize("call", ["actor_loss", "update_factor"])
+def test_a_missing_entry_of_an_actor(key, remedy, call):
+    team = make_team()
+    batch = team.batch.exclude(key)
+    if (call, key) == ("update_factor", "advantage"):  # which reads none
+        assert "factor" in team.loss.update_factor(batch, "robot_1")
+        return
+    name = ".*".join(map(str, key)) if isinstance(key, tuple) else key
+    with pytest.raises(ValueError, match=f"no entry .*{name}.*{remedy}"):
+        getattr(team.loss, call)(batch, "robot_1")
+
+
+def test_a_missing_entry_of_an_actor_without_a_view():
+    loss = HAPPOLoss(single_actor())
+    batch = with_advantage(rollout(robot={"observation": torch.randn(*SHAPE, FEATURES)}))
+    with pytest.raises(ValueError, match=r"no entry \('robot', 'action_mask'\): actor 'robot'"):
+        loss.actor_loss(batch, "robot")
+
+
+def test_the_name_of_the_log_probability_can_be_set():
+    team = make_team()
+    expected = team.loss.actor_loss(team.batch, "robot_0")
+    batch = team.batch.rename_key_(("agents", "action_log_prob"), ("agents", "old"))
+    with pytest.raises(ValueError, match="action_log_prob"):
+        team.loss.actor_loss(batch, "robot_0")
+    team.loss.actor_losses["robot_0"].set_keys(sample_log_prob=("agents", "old"))
+    got = team.loss.actor_loss(batch, "robot_0")
+    assert torch.equal(got["loss_objective"], expected["loss_objective"])
+
+
+@pytest.mark.parametrize("key", ["value_target", ("agents", "observation")])
+def test_a_missing_entry_of_the_critic(key):
+    team = make_team()
+    remedy = "estimate_advantage" if key == "value_target" else "the critic reads it"
+    with pytest.raises(ValueError, match=f"no entry .*{key[-1][-5:]}.*{remedy}"):
+        team.loss.critic_loss(team.batch.exclude(key))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [("next", key) for key in ("reward", "done", "terminated", "state")] + ["state", "next"],
+    ids=str,
+)
+def test_a_rollout_without_what_gae_reads(key):
+    loss = HAPPOLoss(single_actor(), state_critic())
+    missing = r"'next', 'reward'" if key == "next" else str(key).strip("()")
+    with pytest.raises(ValueError, match=f"no entry .*{missing}"):
+        loss.estimate_advantage(episodes().exclude(key))
+
+
+@pytest.mark.parametrize("name", ["reward", "done", "terminated"])
+def test_entries_of_the_agents_are_not_the_team_s(name):
+    loss = HAPPOLoss(single_actor(), state_critic())
+    batch = episodes()
+    team = batch["next"].pop(name)
+    batch["next", "agents"] = {name: team.unsqueeze(-2).expand(-1, -1, 3, -1)}
+    before = set(batch.keys(True, True))
+    with pytest.raises(
+        ValueError,
+        match=rf"no entry \('next', '{name}'\): .*\[2, 8, 1\].*set_keys\({name}=\.\.\.\)"
+        rf".*the batch has \('next', 'agents', '{name}'\) \[2, 8, 3, 1\]",
+    ):
+        loss.estimate_advantage(batch)
+    loss.set_keys(**{name: ("agents", name)})
+    with pytest.raises(ValueError, match=rf"'{name}'\) has shape \[2, 8, 3, 1\].*\[2, 8, 1\]"):
+        loss.estimate_advantage(batch)
+    assert set(batch.keys(True, True)) == before
+    batch["next", "team"] = {name: team}
+    loss.set_keys(**{name: ("team", name)})
+    assert loss.estimate_advantage(batch)["advantage"].isfinite().all()
+
+
+@pytest.mark.parametrize("first", ["critic_loss", "estimate_advantage", "make_value_estimator"])
+def test_a_critic_that_writes_another_key_may_be_named_later(first):
+    loss = HAPPOLoss(single_actor(), state_critic("worth"))
+    batch = episodes()
+    batch["value_target"] = torch.randn(2, 8, 1)
+    if first == "make_value_estimator":
+        loss.make_value_estimator(gamma=0.9)
+    for call in (loss.critic_loss, loss.estimate_advantage):
+        with pytest.raises(
+            ValueError, match=r"writes \['worth'\], not .*'state_value'.*set_keys\(value='worth'\)"
+        ):
+            call(batch)
+    loss.set_keys(value="worth")
+    loss.estimate_advantage(batch)
+    assert batch["worth"].shape == (2, 8, 1)
+    assert loss.critic_loss(batch)["loss_critic"].isfinite()
+
+
+def test_a_value_per_agent_is_not_the_team_s():
+    team = make_team()
+    critic = TensorDictModule(
+        mlp(FEATURES, 1), [("agents", "observation")], [("agents", "state_value")]
+    )
+    loss = HAPPOLoss(actors("a"), critic)
+    loss.set_keys(value=("agents", "state_value"))
+    per_agent = rf"'state_value'\) has shape \[6, 11, {ROBOTS}, 1\].*\[6, 11, 1\]"
+    for call in (loss.critic_loss, loss.estimate_advantage):
+        with pytest.raises(ValueError, match=per_agent):
+            call(team.batch)
+
+
+@pytest.mark.parametrize("key", ["advantage", "factor", "value_target"])
+@pytest.mark.parametrize("shape", [SHAPE, (*SHAPE, ROBOTS), (*SHAPE, 1, 1), (*SHAPE, ROBOTS, 1)])
+def test_a_shape_that_would_be_broadcast(key, shape):
+    team = make_team()
+    team.batch[key] = torch.rand(shape)
+    call = team.loss.critic_loss if key == "value_target" else team.loss.actor_loss
+    rest = () if key == "value_target" else ("robot_0",)
+    with pytest.raises(ValueError, match=rf"'{key}' has shape .*must have \[6, 11, 1\]"):
+        call(team.batch, *rest)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_numbers_that_are_not_finite(value):
+    team = make_team()
+    for key in ("advantage", "factor", "value_target"):
+        batch = team.batch.clone()
+        batch[key] = torch.rand(*SHAPE, 1)
+        batch[key][2, 3] = value
+        call = team.loss.critic_loss if key == "value_target" else team.loss.actor_loss
+        rest = () if key == "value_target" else ("robot_0",)
+        with pytest.raises(FloatingPointError, match="not finite in 1 of 66 samples"):
+            call(batch, *rest)
+
+
+@pytest.mark.parametrize("shape", [(0,), (0, 10), (4, 0)])
+def test_a_batch_without_samples(shape):
+    team = make_team()
+    empty = team.batch.reshape(-1)[:0].reshape(*shape)
+    calls = [
+        lambda: team.loss.actor_loss(empty, "robot_0"),
+        lambda: team.loss.update_factor(empty, "robot_0"),
+        lambda: team.loss.critic_loss(empty),
+        lambda: team.loss.estimate_advantage(empty),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match=rf"the batch of shape \[{shape[0]}.*has no samples"):
+            call()
+
+
+def test_a_single_step_has_no_advantage_to_normalise():
+    loss = HAPPOLoss(single_actor(), state_critic())
+    batch = episodes()[:1, :1]
+    with pytest.raises(ValueError, match=r"\[1, 1\] is a single step.*average_gae=False"):
+        loss.estimate_advantage(batch)
+    loss.make_value_estimator(average_gae=False)
+    assert loss.estimate_advantage(batch)["advantage"].isfinite().all()
+    with pytest.raises(ValueError, match=r"needs a rollout \[\*B, T\]"):
+        loss.estimate_advantage(batch[0, 0])
+
+
+@pytest.mark.parametrize("call", ["actor_loss", "update_factor", "critic_loss"])
+def test_padding_is_refused_by_every_loss(call):
+    team = make_team()
+    team.batch["collector"] = {"mask": torch.ones(*SHAPE, dtype=torch.bool)}
+    rest = () if call == "critic_loss" else ("robot_0",)
+    with pytest.raises(ValueError, match="split_trajs=False"):
+        getattr(team.loss, call)(team.batch, *rest)
+
+
+# ------------------------------------------------------------------------------ views
+
+
+def test_an_index_beyond_the_group():
+    team = make_team()
+    loss = HAPPOLoss(actors("a"), views={"a": ("agents", ROBOTS)})
+    for call in (loss.actor_loss, loss.update_factor):
+        with pytest.raises(
+            ValueError, match=rf"\('agents', {ROBOTS}\) does not fit.*more than {ROBOTS} of them"
+        ):
+            call(team.batch, "a")
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("observation", lambda x: x.transpose(-1, -2)),  # [*B, F, N]
+        ("observation", lambda x: x[:, :, 0]),  # [*B, F]
+        ("action", lambda x: x[:, :, 0]),  # [*B]
+        ("action_log_prob", lambda x: x[:, :, :2]),
+        ("action_mask", lambda x: x[:, :, :1]),
+    ],
+)
+def test_an_axis_of_agents_in_another_place(key, change):
+    team = make_team()
+    batch = TensorDict({k: v for k, v in team.batch.items() if k != "agents"}, SHAPE)
+    group = {k: change(v) if k == key else v for k, v in team.batch["agents"].items()}
+    batch["agents"] = TensorDict(group, SHAPE)
+    for call in (team.loss.actor_loss, team.loss.update_factor):
+        with pytest.raises(ValueError, match=rf"views\['robot_2'\].*axis.*'{key}'\) \["):
+            call(batch, "robot_2")
+
+
+# -------------------------------------------------------------------- log-probabilities
+
+
+@pytest.mark.parametrize("call", ["actor_loss", "update_factor"])
+@pytest.mark.parametrize("continuous", [False, True])
+def test_a_log_probability_of_another_shape(call, continuous):
+    if continuous:
+        actor = continuous_actor(drone_network(), "robot")
+        batch = rollout(robot={"observation": torch.randn(*SHAPE, 3)})
+    else:
+        actor = masked_actor(ground_network(), "robot")
+        mask = torch.ones(*SHAPE, ACTIONS, dtype=torch.bool)
+        batch = rollout(robot={"observation": torch.randn(*SHAPE, FEATURES), "action_mask": mask})
+    loss = HAPPOLoss({"robot": actor})
+    with torch.no_grad():
+        batch = with_advantage(actor(batch))
+    batch["robot", "action_log_prob"] = batch["robot", "action_log_prob"].unsqueeze(-1)
+    with pytest.raises(ValueError, match=r"action_log_prob'\) has shape \[6, 11, 1\]"):
+        getattr(loss, call)(batch, "robot")
+
+
+def test_a_log_probability_with_an_axis_that_the_action_has_too():
+    """Only the actor knows whether it is of one component or of the whole action."""
+
+    def actor(**options):
+        return ProbabilisticActor(
+            TensorDictModule(nn.Linear(FEATURES, 1), ["observation"], ["loc"]),
+            in_keys=["loc"],
+            distribution_class=Normal,
+            distribution_kwargs={"scale": 1.0},
+            return_log_prob=True,
+            **options,
+        )
+
+    loss = HAPPOLoss({"robot": actor()})
+    batch = TensorDict({"observation": torch.randn(5, FEATURES)}, [5])
+    with torch.no_grad():
+        loss.actor_losses["robot"].actor_network(batch)
+    assert loss.update_factor(batch.clone(), "robot")["factor"].shape == (5, 1)
+    batch["action_log_prob"] = batch["action_log_prob"].squeeze(-1)
+    with pytest.raises(ValueError, match=r"has shape \[5\], but actor 'robot' gives \[5, 1\]"):
+        loss.update_factor(batch, "robot")
+
+
+@pytest.mark.parametrize("stored", [-1.0, -torch.inf, torch.nan])
+def test_an_action_that_the_mask_forbids_has_no_ratio(stored):
+    team = make_team()
+    team.loss.update_factor(team.batch, "robot_0")
+    before = team.batch["factor"].clone()
+    action = team.batch["agents", "action"][1, 2, 3]
+    mask = team.batch["agents", "action_mask"]
+    mask[1, 2, 3] = True
+    mask[1, 2, 3, action] = False
+    team.batch["agents", "action_log_prob"][1, 2, 3] = stored
+    with pytest.raises(
+        ValueError, match=r"'robot_3' has no probability for 1 of 66 actions.*mask forbids"
+    ):
+        team.loss.update_factor(team.batch, "robot_3")
+    assert torch.equal(team.batch["factor"], before)
+
+
+def test_a_factor_that_overflows():
+    team = make_team()
+    team.batch["agents", "action_log_prob"] -= 100
+    with pytest.raises(FloatingPointError, match="the factor after actor 'robot_0' is not finite"):
+        team.loss.update_factor(team.batch, "robot_0")
+    assert "factor" not in team.batch
