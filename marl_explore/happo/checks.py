@@ -50,7 +50,7 @@ def check_options(clip_epsilon: Any, options: Mapping[str, Any]) -> None:
     for name, value in options.items():
         if name not in ACTOR_OPTIONS:
             reason = _OTHERWISE.get(name, f"those of an actor are {list(ACTOR_OPTIONS)}")
-            raise ValueError(f"{name}={value!r} is no option of HAPPOLoss: {reason}")
+            raise ValueError(f"{name}={value!r} is not an option of HAPPOLoss: {reason}")
 
 
 def is_recurrent(actor: nn.Module) -> bool:

@@ -26,6 +26,8 @@ from marl_explore.happo.checks import (
 ESTIMATE = "call loss.estimate_advantage(rollout) first, or loss.set_keys({name}=...)"
 """What to do when an entry is missing that ``estimate_advantage`` writes."""
 
+OF_AGENTS = {"reward": "mean", "done": "any", "terminated": "any"}
+"""How entries [*B, N, 1] of the agents become the team's, [*B, 1]."""
 CRITIC = "the critic reads it"
 
 
@@ -139,13 +141,14 @@ class TeamCriticLoss(LossModule):
                 f"the batch of shape {[*tensordict.shape]} is a single step, whose advantage "
                 "cannot be normalised: see make_value_estimator(average_gae=False)"
             )
-        for name in ("reward", "done", "terminated"):
+        for name, reduction in OF_AGENTS.items():
             key = unravel_key(("next", getattr(self.tensor_keys, name)))
             read_column(
                 tensordict,
                 key,
-                f"HAPPOLoss needs the team's {name}, {[*tensordict.shape, 1]}; reduce those of the "
-                f"agents to it, or name another entry by loss.set_keys({name}=...)",
+                f"HAPPOLoss needs the team's {name} {[*tensordict.shape, 1]}; reduce the agents' to "
+                f"it, as in batch[{key!r}] = batch['next', group, {name!r}].{reduction}(-2), or "
+                f"name another entry by loss.set_keys({name}=...)",
             )
         for key in self.critic_keys[:-1]:
             read(tensordict, key, CRITIC)
