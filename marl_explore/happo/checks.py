@@ -53,9 +53,10 @@ def check_options(clip_epsilon: Any, options: Mapping[str, Any]) -> None:
             raise ValueError(f"{name}={value!r} is not an option of HAPPOLoss: {reason}")
 
 
-def is_recurrent(actor: nn.Module) -> bool:
-    """Whether an actor carries a state from step to step."""
-    return any(isinstance(part, (LSTMModule, GRUModule)) for part in actor.modules())
+def state_keys(actor: nn.Module) -> list[NestedKey]:
+    """Entries that a recurrent actor carries from step to step; none for other actors."""
+    memories = [part for part in actor.modules() if isinstance(part, (LSTMModule, GRUModule))]
+    return [key for part in memories for key in part.in_keys[1:-1]]  # input, states, "is_init"
 
 
 def check_parts(actors: Mapping[str, Any], critic: Any | None, views: Mapping[str, View]) -> None:
@@ -155,13 +156,20 @@ def check_batch(batch: TensorDictBase) -> None:
         )
 
 
-def check_rows(batch: TensorDictBase, name: str) -> None:
-    """Refuse batches without a time axis, over which a recurrent actor would be unrolled."""
-    if batch.ndim < 2:
-        raise ValueError(
-            f"actor {name!r} is recurrent and the batch has the shape {[*batch.shape]}: it needs "
-            "whole rows [*B, T] of a rollout, so do not flatten it"
-        )
+def check_rows(own: TensorDictBase, states: Iterable[NestedKey], name: str) -> None:
+    """Refuse entries over which a recurrent actor would not be unrolled in time."""
+    for key in states:
+        if own.ndim < 2:
+            raise ValueError(
+                f"actor {name!r} is recurrent and the batch has the shape {[*own.shape]}: it needs "
+                "whole rows [*B, T] of a rollout, so do not flatten it"
+            )
+        state = own.get(key)
+        if state.ndim != own.ndim + 2:
+            raise ValueError(
+                f"actor {name!r} is recurrent and its state {key!r} has shape {[*state.shape]}, "
+                "not [*B, layers, numbers]: it must act for one agent, so give it a view"
+            )
 
 
 def read(batch: TensorDictBase, key: NestedKey, remedy: str) -> Tensor:

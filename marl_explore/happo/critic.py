@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
@@ -12,7 +12,6 @@ from torchrl.modules import ValueNorm
 from torchrl.objectives import LossModule
 from torchrl.objectives.utils import ValueEstimators, distance_loss
 from torchrl.objectives.value import GAE
-from typing_extensions import Self
 
 from marl_explore.happo.checks import (
     check_batch,
@@ -22,6 +21,9 @@ from marl_explore.happo.checks import (
     require_finite,
     select,
 )
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 ESTIMATE = "call loss.estimate_advantage(rollout) first, or loss.set_keys({name}=...)"
 """What to do when an entry is missing that ``estimate_advantage`` writes."""
@@ -95,11 +97,15 @@ class TeamCriticLoss(LossModule):
         """Choose GAE's ``gamma``, ``lmbda`` and further options; ``average_gae`` defaults to True.
 
         Raises:
-            ValueError: without a critic.
+            ValueError: without a critic, and for ``shifted=True``, which leaves steps invalid.
             NotImplementedError: for another estimator than GAE.
         """
         if value_type not in (None, ValueEstimators.GAE):
             raise NotImplementedError(f"HAPPOLoss estimates values with GAE, not {value_type}")
+        if hyperparams.get("shifted"):
+            raise ValueError(
+                "shifted=True is not allowed: it marks steps as invalid, but the losses use all"
+            )
         if self.critic is None:
             raise ValueError("value estimation needs a critic, and HAPPOLoss has critic=None")
         options = {"gamma": 0.99, "lmbda": 0.95, "average_gae": True, **hyperparams}
@@ -146,14 +152,17 @@ class TeamCriticLoss(LossModule):
             read_column(
                 tensordict,
                 key,
-                f"HAPPOLoss needs the team's {name} {[*tensordict.shape, 1]}; reduce the agents' to "
-                f"it, as in batch[{key!r}] = batch['next', group, {name!r}].{reduction}(-2), or "
+                f"HAPPOLoss needs the team's {name} {[*tensordict.shape, 1]}; reduce the agents' "
+                f"to it, as in batch[{key!r}] = batch['next', group, {name!r}].{reduction}(-2), or "
                 f"name another entry by loss.set_keys({name}=...)",
             )
         for key in self.critic_keys[:-1]:
             read(tensordict, key, CRITIC)
-            if not self._estimator_options.get("shifted"):  # which reads the root alone
-                read(tensordict, unravel_key(("next", key)), CRITIC)
+            read(
+                tensordict,
+                unravel_key(("next", key)),
+                f"{CRITIC} for the value after a step; a collector keeps it with compact_obs=False",
+            )
         self.value_estimator(tensordict)
         if self.value_norm is not None:
             self.value_norm.update(tensordict.get(self.tensor_keys.value_target))

@@ -27,10 +27,10 @@ from marl_explore.happo.checks import (
     check_options,
     check_parts,
     check_rows,
-    is_recurrent,
     read_column,
     require_column,
     require_finite,
+    state_keys,
 )
 from marl_explore.happo.critic import ESTIMATE, TeamCriticLoss
 from marl_explore.happo.policy import TeamPolicy
@@ -170,7 +170,7 @@ class HAPPOLoss(TeamCriticLoss):
                 functional=False,
                 **actor_options,
             )
-        self._recurrent = {name for name, actor in actors.items() if is_recurrent(actor)}
+        self._states = {name: state_keys(actor) for name, actor in actors.items()}
 
     @property
     def names(self) -> list[str]:
@@ -293,6 +293,6 @@ class HAPPOLoss(TeamCriticLoss):
         """The entries of one actor: its slice of a stacked group, or its own group."""
         loss = self._loss_of(name)
         check_batch(tensordict)
-        if name in self._recurrent:
-            check_rows(tensordict, name)
-        return actor_entries(loss, tensordict, self.views.get(name), name)
+        own = actor_entries(loss, tensordict, self.views.get(name), name)
+        check_rows(own, self._states[name], name)
+        return own

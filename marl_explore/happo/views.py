@@ -14,8 +14,9 @@ View = tuple[NestedKey, int]
 def views_of(names: Iterable[str], group_map: Mapping[str, Sequence[str]]) -> dict[str, View]:
     """The views of actors that are named after the agents or groups of an environment.
 
-    An actor with the name of a group acts for the whole group and has no view; so does one whose
-    agent is a group of its own (``MarlGroupMapType.ONE_GROUP_PER_AGENT``).
+    An actor with the name of an agent acts for this agent, also in a group of its own
+    (``MarlGroupMapType.ONE_GROUP_PER_AGENT``). One with the name of a group acts for the whole
+    group and has no view.
 
     Args:
         names: of the actors.
@@ -36,7 +37,7 @@ def views_of(names: Iterable[str], group_map: Mapping[str, Sequence[str]]) -> di
             f"actors {unknown} are not in group_map: its groups are {list(group_map)}, its agents "
             f"{list(agents)}"
         )
-    return {name: agents[name] for name in names if name not in group_map}
+    return {name: agents[name] for name in names if name in agents}
 
 
 def find_views(

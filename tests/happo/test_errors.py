@@ -230,6 +230,18 @@ def test_a_rollout_without_what_gae_reads(key):
         loss.estimate_advantage(episodes().exclude(key))
 
 
+def test_steps_that_gae_marks_as_invalid():
+    loss = HAPPOLoss(single_actor(), state_critic())
+    with pytest.raises(ValueError, match="shifted=True is not allowed"):
+        loss.make_value_estimator(shifted=True)
+
+
+def test_a_collector_without_next_observations():
+    loss = HAPPOLoss(single_actor(), state_critic())
+    with pytest.raises(ValueError, match=r"\('next', 'state'\).*compact_obs=False"):
+        loss.estimate_advantage(episodes().exclude(("next", "state")))
+
+
 @pytest.mark.parametrize("name", ["reward", "done", "terminated"])
 def test_entries_of_the_agents_are_not_the_team_s(name):
     loss = HAPPOLoss(single_actor(), state_critic())
@@ -268,7 +280,8 @@ def test_a_critic_that_writes_another_key_may_be_named_later(first):
     loss.set_keys(value="worth")
     loss.estimate_advantage(batch)
     assert batch["worth"].shape == (2, 8, 1)
-    assert loss.critic_loss(batch)["loss_critic"].isfinite()
+    loss.critic_loss(batch)["loss_critic"].backward()  # the failed calls have frozen nothing
+    assert all(p.grad.isfinite().all() for p in loss.critic.parameters())
 
 
 def test_a_value_per_agent_is_not_the_team_s():

@@ -11,7 +11,7 @@ from tensordict.nn import InteractionType, TensorDictModule, TensorDictSequentia
 from torch import Tensor, nn
 from torch.testing import assert_close
 from torchrl.collectors import Collector
-from torchrl.data import Unbounded
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import InitTracker, TensorDictPrimer
 from torchrl.modules import GRUModule, LSTMModule, MaskedCategorical, ProbabilisticActor
 
@@ -76,8 +76,8 @@ def team(kind: str) -> tuple[HAPPOLoss, Collector]:
     loss = HAPPOLoss(actors, make_critic(), group_map=env.group_map, entropy_coeff=0.0)
     env.append_transform(InitTracker())
     state = Unbounded((ROBOTS, 1, HIDDEN))  # robots, layers, numbers
-    states = {(GROUP, name): state.clone() for name in STATES[kind]}
-    env.append_transform(TensorDictPrimer(states, expand_specs=True))
+    states = Composite({name: state.clone() for name in STATES[kind]}, shape=(ROBOTS,))
+    env.append_transform(TensorDictPrimer({GROUP: states}, expand_specs=True))
     collector = Collector(
         env,
         loss.make_policy(),
@@ -191,6 +191,18 @@ def test_minibatches_of_whole_rows(kind):
     for call in (loss.actor_loss, loss.update_factor):
         with pytest.raises(ValueError, match=r"'robot_0' is recurrent.*\[42\].*do not flatten"):
             call(flat, name)
+
+
+@KINDS
+def test_a_recurrent_actor_acts_for_one_agent(kind):
+    """Otherwise the agents' axis would be taken for time."""
+    _, collector = team(kind)
+    (batch,) = batches(collector, 1)
+    batch["advantage"] = torch.randn(ARENAS, STEPS, 1)
+    loss = HAPPOLoss({"team": recurrent_actor(kind)})
+    for call in (loss.actor_loss, loss.update_factor):
+        with pytest.raises(ValueError, match=r"'team'.*'h'\) has shape \[6, 7, 2, 1, 8\].*a view"):
+            call(batch, "team")
 
 
 @KINDS

@@ -33,8 +33,8 @@ MIXED = {"rovers": ["rover_0", "rover_1"], "drone": ["drone"], "wheels": ["left"
     [
         (["rover_1", "rover_0"], {"rover_1": ("rovers", 1), "rover_0": ("rovers", 0)}),
         (["rovers"], {}),
-        (["drone"], {}),  # a group of its own
-        (["left", "drone", "rovers"], {"left": ("wheels", 0)}),
+        (["drone"], {"drone": ("drone", 0)}),  # an agent in a group of its own
+        (["left", "drone", "rovers"], {"left": ("wheels", 0), "drone": ("drone", 0)}),
     ],
 )
 def test_actors_named_after_agents_or_groups(names, views):

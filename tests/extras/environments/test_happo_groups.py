@@ -8,11 +8,23 @@ from pathlib import Path
 
 import pytest
 import torch
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictSequential
 from torch import nn
 from torch.testing import assert_close
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase, MarlGroupMapType, PettingZooWrapper, VmasEnv
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import (
+    Compose,
+    EnvBase,
+    InitTracker,
+    MarlGroupMapType,
+    PettingZooWrapper,
+    StepCounter,
+    TensorDictPrimer,
+    TransformedEnv,
+    VmasEnv,
+)
+from torchrl.modules import GRUModule, ProbabilisticActor, TanhNormal
 
 from marl_explore import HAPPOLoss, sequential_update
 from tests.helpers.happo import descend, parameters_of, perturb
@@ -140,6 +152,47 @@ def test_every_actor_learns(case):
     for name, part in loss.actor_losses.items():
         pairs = zip(before[name], parameters_of(part), strict=True)
         assert not any(torch.equal(then, now) for then, now in pairs), name
+
+
+@pytest.mark.parametrize("case", ["one group", "group per agent"])
+def test_recurrent_actors(case):
+    """Those of test_recurrent.py, in groups of several agents and of one."""
+    make_env, group_map = MAPS[case]
+    env = make_env()
+    states, actors = {}, {}
+    for group, agents in group_map.items():
+        features = env.observation_spec[group, "observation"].shape[-1]
+        state = Unbounded((len(agents), 1, 8))
+        states[group] = Composite(h=state, shape=(len(agents),))
+        for agent in agents:
+            memory = GRUModule(
+                features,
+                8,
+                in_keys=[(group, "observation"), (group, "h")],
+                out_keys=[(group, "memory"), ("next", group, "h")],
+            )
+            head = nn.Sequential(nn.Linear(8, 4), NormalParamExtractor())
+            outputs = [(group, "loc"), (group, "scale")]
+            actors[agent] = ProbabilisticActor(
+                TensorDictSequential(memory, TensorDictModule(head, [(group, "memory")], outputs)),
+                in_keys=dict(zip(("loc", "scale"), outputs, strict=True)),
+                out_keys=[(group, "action")],
+                distribution_class=TanhNormal,
+                return_log_prob=True,
+                log_prob_key=(group, "action_log_prob"),
+            )
+    loss = HAPPOLoss(actors, group_map=env.group_map)
+    transforms = Compose(StepCounter(4), InitTracker(), TensorDictPrimer(states, expand_specs=True))
+    batch = collect(TransformedEnv(env, transforms), loss)
+    assert batch.shape == (6, FRAMES // 6)
+    assert batch["is_init"][:, 4].all()
+    for group in group_map:
+        assert batch[group, "h"].any()
+    for name in loss.names:  # no actor has moved: every ratio is 1
+        loss.update_factor(batch, name)
+        assert_close(batch["factor"], torch.ones(*batch.shape, 1), rtol=1e-3, atol=1e-3)
+    perturb(loss.actor_losses[name], size=0.1)
+    assert (loss.update_factor(batch, name)["factor"] - 1).abs().max() > 1e-2
 
 
 def test_agents_of_the_environment_are_named_in_the_error():
