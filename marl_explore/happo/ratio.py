@@ -7,7 +7,7 @@ from torch import Tensor
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 
-from marl_explore.happo.checks import check_log_prob, select
+from marl_explore.happo.checks import check_log_prob, read, select
 from marl_explore.happo.views import View, slice_agent
 
 
@@ -33,9 +33,10 @@ def actor_entries(
         f"actor {name!r} reads it; collect with return_log_prob=True, or name another entry by "
         f"loss.actor_losses[{name!r}].set_keys(action=..., sample_log_prob=...)"
     )
-    own = select(batch, keys, remedy)
-    if view is not None:
-        own = slice_agent(own, {key: own.get(key) for key in keys}, view, name)
+    if view is None:
+        own = select(batch, keys, remedy)
+    else:
+        own = slice_agent(batch, {key: read(batch, key, remedy) for key in keys}, view, name)
     action, log_prob = (own.get(key) for key in keys[-2:])
     check_log_prob(own, action, log_prob, keys[-1])
     return own

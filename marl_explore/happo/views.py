@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torch import Tensor
@@ -57,6 +58,7 @@ def find_views(
     return views_of(names, group_map)
 
 
+@cache
 def in_group(key: NestedKey, group: NestedKey) -> bool:
     """Whether an entry belongs to a group."""
     path, prefix = (k if isinstance(k, tuple) else (k,) for k in map(unravel_key, (key, group)))
@@ -73,10 +75,11 @@ def slice_agent(
     """
     group, index = view
     axis = batch.ndim
-    sizes = {e.shape[axis : axis + 1] for key, e in entries.items() if in_group(key, group)}
-    agents = next(iter(sizes)) if len(sizes) == 1 else ()
+    grouped = {key: entry for key, entry in entries.items() if in_group(key, group)}
+    sizes = {entry.shape[axis : axis + 1] for entry in grouped.values()}
+    agents = sizes.pop() if len(sizes) == 1 else ()
     if not agents or index >= agents[0]:
-        shapes = ", ".join(f"{k!r} {[*e.shape]}" for k, e in entries.items() if in_group(k, group))
+        shapes = ", ".join(f"{key!r} {[*entry.shape]}" for key, entry in grouped.items())
         raise ValueError(
             f"views[{name!r}]={view!r} does not fit the batch of shape {[*batch.batch_size]}: the "
             f"axis after those of the batch must be that of the agents, more than {index} of them, "
@@ -84,5 +87,5 @@ def slice_agent(
         )
     own = TensorDict({}, batch_size=batch.batch_size, device=batch.device)
     for key, value in entries.items():
-        own.set(key, value.select(axis, index) if in_group(key, group) else value)
+        own.set(key, value.select(axis, index) if key in grouped else value)
     return own
