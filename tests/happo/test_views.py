@@ -1,4 +1,4 @@
-"""Views from an environment's groups, and the policy that the actors make together."""
+"""Views, also from an environment's groups, and the policy that the actors make together."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from marl_explore.happo.views import views_of
 from tests.helpers.happo import (
     FEATURES,
     NAMES,
+    ROBOTS,
     VIEWS,
     assert_same_losses,
     continuous_actor,
@@ -64,6 +65,41 @@ def test_an_agent_and_its_group_have_not_both_an_actor():
     actors = {name: masked_actor(ground_network(), "agents") for name in ("agents", "robot_1")}
     with pytest.raises(ValueError, match="'agents' and 'robot_1' both act for"):
         HAPPOLoss(actors, group_map={"agents": NAMES})
+
+
+# ------------------------------------------------------------ groups of another shape
+
+
+def test_an_index_beyond_the_group():
+    team = make_team()
+    loss = HAPPOLoss(
+        {"a": masked_actor(ground_network(), "agents")}, views={"a": ("agents", ROBOTS)}
+    )
+    for call in (loss.actor_loss, loss.update_factor):
+        with pytest.raises(
+            ValueError, match=rf"\('agents', {ROBOTS}\) does not fit.*more than {ROBOTS} of them"
+        ):
+            call(team.batch, "a")
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("observation", lambda x: x.transpose(-1, -2)),  # [*B, F, N]
+        ("observation", lambda x: x[:, :, 0]),  # [*B, F]
+        ("action", lambda x: x[:, :, 0]),  # [*B]
+        ("action_log_prob", lambda x: x[:, :, :2]),
+        ("action_mask", lambda x: x[:, :, :1]),
+    ],
+)
+def test_an_axis_of_agents_in_another_place(key, change):
+    team = make_team()
+    batch = TensorDict({k: v for k, v in team.batch.items() if k != "agents"}, team.batch.shape)
+    group = {k: change(v) if k == key else v for k, v in team.batch["agents"].items()}
+    batch["agents"] = TensorDict(group, team.batch.shape)
+    for call in (team.loss.actor_loss, team.loss.update_factor):
+        with pytest.raises(ValueError, match=rf"views\['robot_2'\].*axis.*'{key}'\) \["):
+            call(batch, "robot_2")
 
 
 # ------------------------------------------------------------------------- the policy
