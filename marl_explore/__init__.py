@@ -25,11 +25,14 @@ if TYPE_CHECKING:
     from marl_explore.arenas import list_suites as list_suites
     from marl_explore.arenas import load_map as load_map
     from marl_explore.arenas import suite as suite
+    from marl_explore.cli.common import parse_options as parse_options
     from marl_explore.cli.common import require_package as require_package
     from marl_explore.cli.common import run_program as run_program
     from marl_explore.cli.main import run_command as run_command
     from marl_explore.config.arena import ArenaConfig as ArenaConfig
     from marl_explore.config.checks import require_integer as require_integer
+    from marl_explore.config.checks import require_positive as require_positive
+    from marl_explore.config.checks import require_share as require_share
     from marl_explore.config.run import RunConfig as RunConfig
     from marl_explore.config.run import parse_seeds as parse_seeds
     from marl_explore.core.native import backend as backend
@@ -84,6 +87,7 @@ if TYPE_CHECKING:
     from marl_explore.training.loggers import Loggers as Loggers
     from marl_explore.training.nan_guard import require_finite_batch as require_finite_batch
     from marl_explore.training.presets import PRESETS as PRESETS
+    from marl_explore.training.run_folder import lengthen as lengthen
     from marl_explore.training.runs import resume as resume
     from marl_explore.training.runs import train as train
     from marl_explore.training.seeds import summarize_seeds as summarize_seeds
@@ -117,10 +121,10 @@ _EXPORTS = {
         "load_map",
         "suite",
     ),
-    "cli.common": ("require_package", "run_program"),
+    "cli.common": ("parse_options", "require_package", "run_program"),
     "cli.main": ("run_command",),
     "config.arena": ("ArenaConfig",),
-    "config.checks": ("require_integer",),
+    "config.checks": ("require_integer", "require_positive", "require_share"),
     "config.run": ("RunConfig", "parse_seeds"),
     "core.native": ("backend",),
     "core.rewards": ("StepRecord",),
@@ -157,6 +161,7 @@ _EXPORTS = {
     "training.loggers": ("Loggers",),
     "training.nan_guard": ("require_finite_batch",),
     "training.presets": ("PRESETS",),
+    "training.run_folder": ("lengthen",),
     "training.runs": ("resume", "train"),
     "training.seeds": ("summarize_seeds", "sweep"),
     "transforms": (

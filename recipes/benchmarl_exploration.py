@@ -8,15 +8,21 @@ Needs BenchMARL in addition to this package; docs/happo.md ("In BenchMARL") says
 from __future__ import annotations
 
 import csv
+import sys
 import time
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-import tyro
-
-from marl_explore import records, require_integer, require_package, run_program, tables
+from marl_explore import (
+    parse_options,
+    records,
+    require_integer,
+    require_package,
+    run_program,
+    tables,
+)
 
 Algorithm = Literal["mappo", "ippo", "qmix", "happo"]
 
@@ -37,6 +43,9 @@ class Arguments:
     def __post_init__(self) -> None:
         """Check the arguments."""
         require_integer("iterations", self.iterations, 1)
+        require_integer("seed", self.seed, 0)
+        if not self.algorithms:
+            raise ValueError("algorithms=() is not allowed: name at least one")
 
 
 SETTINGS = {
@@ -105,10 +114,6 @@ def run(arguments: Arguments) -> None:
 
 if __name__ == "__main__":
     run_program(
-        lambda: tyro.cli(
-            Arguments,
-            description=__doc__,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
-        ),
+        lambda: parse_options(Arguments, sys.argv[1:], Path(sys.argv[0]).name, __doc__),
         run,
     )

@@ -33,7 +33,15 @@ from torchrl.data import (
 )
 from torchrl.envs import Compose, PettingZooWrapper, Transform, TransformedEnv
 
-from marl_explore import CommunicationNeighbors, FrontierReachability, load_map, suite, tables
+from marl_explore import (
+    CommunicationNeighbors,
+    FrontierReachability,
+    load_map,
+    require_integer,
+    run_program,
+    suite,
+    tables,
+)
 
 UNKNOWN, OCCUPIED = -1, 1
 DIRECTIONS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
@@ -195,6 +203,8 @@ def main(
         steps: number of steps of random pursuers.
         seed: of pursuit, and of the robots' cells on map files.
     """
+    require_integer("steps", steps, 1)
+    require_integer("seed", seed, 0)
     torch.manual_seed(seed)
     if source == "pursuit":
         last = pursuit_env(seed).rollout(steps)[-1]["next", "pursuers"]
@@ -213,4 +223,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_program(lambda: tyro.cli(main), lambda _: None)

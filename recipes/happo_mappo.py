@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import torch
-import tyro
 from fitting_networks import make_actor, make_critic
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictSequential
@@ -33,12 +32,15 @@ from marl_explore import (
     FactorWatch,
     HAPPOLoss,
     Loggers,
+    parse_options,
     parse_seeds,
     plots,
     records,
     require_finite_batch,
     require_integer,
     require_package,
+    require_positive,
+    require_share,
     run_program,
     sequential_update,
     summarize_seeds,
@@ -83,6 +85,12 @@ class Settings:
         """Check the settings."""
         for name in ("updates", "frames", "num_minibatches", "epochs"):
             require_integer(name, getattr(self, name), 1)
+        for width in self.hidden:
+            require_integer("hidden", width, 1)
+        for name in ("lr", "max_grad_norm"):
+            require_positive(name, getattr(self, name))
+        for name in ("gamma", "lmbda", "clip_epsilon", "entropy_coeff"):
+            require_share(name, getattr(self, name))
         parse_seeds(self.seeds)
 
 
@@ -104,9 +112,7 @@ class Task(Protocol):
 def main(kind: type[Task], about: str | None, package: str, extra: str) -> None:
     """The main program of a recipe: parse the command line, train, draw and print."""
     run_program(
-        lambda: tyro.cli(
-            kind, description=about, config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff)
-        ),
+        lambda: parse_options(kind, sys.argv[1:], Path(sys.argv[0]).name, about),
         lambda task: run(task, package, extra),
     )
 

@@ -8,11 +8,13 @@ Needs the extra "lab": pip install ".[lab]". VMAS is licensed under the GPLv3.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
 
 from happo_mappo import Settings, main
 from torchrl.envs import EnvBase, MarlGroupMapType, VmasEnv
 
-from marl_explore import require_integer
+from marl_explore import require_integer, require_package
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,12 @@ class Arguments:
         """Check the arguments."""
         require_integer("num_envs", self.num_envs, 1)
         require_integer("max_steps", self.max_steps, 1)
+        require_package("vmas", 'pip install ".[lab]"')
+        scenarios = {path.stem for path in Path(str(files("vmas.scenarios"))).rglob("*.py")} - {
+            "__init__"
+        }
+        if self.scenario not in scenarios:
+            raise ValueError(f"scenario={self.scenario!r} is not allowed: use {sorted(scenarios)}")
 
     def make_env(self, seed: int) -> EnvBase:
         """One group per agent. VMAS gets no step limit of its own, which would be a termination."""

@@ -22,6 +22,8 @@ from marl_explore import (
     MultiAgentActors,
     make_env,
     probabilistic_actor,
+    require_integer,
+    run_program,
 )
 
 ENVS, STEPS, EPOCHS = 32, 50, 5
@@ -49,6 +51,7 @@ def main(updates: int = 60) -> float:
     Args:
         updates: number of updates of every network, each on a batch of 32 x 50 steps.
     """
+    require_integer("updates", updates, 1)
     torch.manual_seed(0)
     arena = ArenaConfig()
 
@@ -94,4 +97,4 @@ def main(updates: int = 60) -> float:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_program(lambda: tyro.cli(main), lambda _: None)

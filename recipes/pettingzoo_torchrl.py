@@ -20,7 +20,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MaskedCategorical, MultiAgentMLP, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
-from marl_explore import ArenaConfig, parallel_env
+from marl_explore import ArenaConfig, parallel_env, require_integer, run_program
 
 EPISODES, STEPS, EPOCHS = 12, 25, 10
 GROUP = "agents"
@@ -79,6 +79,8 @@ def main(updates: int = 40, seed: int = 0) -> list[float]:
         updates: number of updates, each on 12 episodes of 25 steps.
         seed: of arenas, networks and actions.
     """
+    require_integer("updates", updates, 1)
+    require_integer("seed", seed, 0)
     torch.manual_seed(seed)
     env = wrapped_env(ArenaConfig(height=6, width=6, num_agents=3, communication_range=2.0), seed)
     check_env_specs(env)
@@ -110,4 +112,4 @@ def main(updates: int = 40, seed: int = 0) -> list[float]:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_program(lambda: tyro.cli(main), lambda _: None)

@@ -18,7 +18,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecMonitor
 from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
 
-from marl_explore import ArenaConfig, parallel_env
+from marl_explore import ArenaConfig, parallel_env, require_integer, run_program
 
 ARENAS, STEPS = 8, 25
 
@@ -54,6 +54,8 @@ def main(steps: int = 60_000, seed: int = 0) -> tuple[float, float]:
         steps: number of steps, counted for every robot.
         seed: of arenas, network and actions.
     """
+    require_integer("steps", steps, 1)
+    require_integer("seed", seed, 0)
     set_random_seed(seed)  # PPO's own argument would also seed the environment, which fails
     model = PPO(
         "MultiInputPolicy",
@@ -72,4 +74,4 @@ def main(steps: int = 60_000, seed: int = 0) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_program(lambda: tyro.cli(main), lambda _: None)

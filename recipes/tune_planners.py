@@ -10,6 +10,7 @@ the settings: nothing here uses the test arenas.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from marl_explore import ArenaConfig, require_integer, run_program
+from marl_explore import ArenaConfig, parse_options, require_integer, run_program
 
 if TYPE_CHECKING:
     from marl_explore import CommunicationRule, Planner
@@ -126,7 +127,7 @@ def candidates(arguments: Arguments, config: ArenaConfig) -> dict[str, Planner]:
 
 def parse() -> Arguments:
     """Parse the command line."""
-    return tyro.cli(Arguments, prog="tune_planners.py", description=__doc__)
+    return parse_options(Arguments, sys.argv[1:], "tune_planners.py", __doc__)
 
 
 def run(arguments: Arguments) -> None:

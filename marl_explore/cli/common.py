@@ -119,14 +119,14 @@ def parse_words(
 
 
 def _refusal(stop: SystemExit) -> str | None:
-    """What this package said of a setting that it refused, if that is why tyro exits."""
+    """What a settings class said of a value that it refused, if that is why tyro exits."""
     error: BaseException | None = stop
     while error is not None:
         trace = error.__traceback__
         while trace is not None and trace.tb_next is not None:
             trace = trace.tb_next
-        own = trace is not None and trace.tb_frame.f_globals["__name__"].startswith("marl_explore.")
-        if isinstance(error, ValueError) and own:
+        module = trace.tb_frame.f_globals["__name__"] if trace is not None else "tyro"
+        if isinstance(error, ValueError) and module.partition(".")[0] != "tyro":
             return str(error)
         error = error.__context__
     return None
@@ -192,7 +192,7 @@ def run_program(parse: Callable[[], Arguments], run: Callable[[Arguments], None]
     try:
         run(parse())
     except (ValueError, OSError, FloatingPointError, ImportError, MemoryError) as error:
-        sys.exit(f"error: {error or type(error).__name__}")
+        sys.exit(f"error: {str(error) or type(error).__name__}")
     except RunInterruptedError as interrupted:
         print(interrupted, file=sys.stderr)
         sys.exit(interrupted.status)

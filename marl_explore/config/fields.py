@@ -121,4 +121,4 @@ def _describe(hint: Any) -> str:
         return " or ".join(_describe(part) for part in parts)
     if origin is tuple:
         return f"a list, each entry {_describe(parts[0])}"
-    return _NAMES.get(origin or hint, f"a {getattr(hint, '__name__', hint)}")
+    return _NAMES.get(origin or hint, f"of type {getattr(hint, '__name__', hint)}")

@@ -56,7 +56,11 @@ def connect(run: RunConfig) -> None:
     import ray
 
     if not ray.is_initialized():
-        cluster: dict[str, Any] = {"num_cpus": run.workers, "include_dashboard": False}
+        cluster: dict[str, Any] = {
+            "address": "local",
+            "num_cpus": run.workers,
+            "include_dashboard": False,
+        }
         if run.ray_address is not None:
             cluster = {"address": run.ray_address}
         try:

@@ -37,7 +37,7 @@ def run_training(trainer: Trainer, validation: Validation, progress: bool | Repo
     with deferred() as request, closing(Progress(progress, trainer.frames, steps)) as shown:
         try:
             _loop(trainer, validation, loggers, request, shown)
-        except NonFiniteError as error:
+        except FloatingPointError as error:  # also from the loss
             kept = list_checkpoints(folder)
             last = f"the last good checkpoint is {kept[-1]}" if kept else "there is no checkpoint"
             raise NonFiniteError(f"{error}; {last}") from error

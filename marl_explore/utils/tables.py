@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 
@@ -44,12 +45,20 @@ def text(header: Sequence[str], *blocks: Sequence[Sequence[str]]) -> str:
 
 
 def markdown(header: Sequence[str], *blocks: Sequence[Sequence[str]]) -> str:
-    """A table in GitHub's Markdown, with an empty row between blocks of rows."""
-    lines = [header, ["---"] * len(header)]
+    """A table in GitHub's Markdown, with an empty row between blocks of rows.
+
+    Whatever a cell holds, such as a policy's name, is shown as it is.
+    """
+    lines = [list(map(_as_it_is, header)), ["---"] * len(header)]
     for i, block in enumerate(blocks):
-        lines += [[""] * len(header)] * (i > 0) + list(block)
-    escaped = ([cell.replace("|", "\\|") for cell in line] for line in lines)
-    return "\n".join(f"| {' | '.join(line)} |" for line in escaped)
+        lines += [[""] * len(header)] * (i > 0) + [list(map(_as_it_is, line)) for line in block]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _as_it_is(cell: str) -> str:
+    """Text without meaning in Markdown: no markup, HTML, link or new line."""
+    escaped = re.sub(r"[\\`*_|<>~&]|\](?=[(\[:])", r"\\\g<0>", cell)
+    return " ".join(escaped.split())
 
 
 def _decimals(*values: float) -> int:
