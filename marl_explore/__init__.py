@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from marl_explore.core.rewards import StepRecord as StepRecord
     from marl_explore.envs.exploration import ExplorationEnv as ExplorationEnv
     from marl_explore.envs.factory import make_env as make_env
+    from marl_explore.envs.workers import split_arenas as split_arenas
     from marl_explore.evaluation import metrics as metrics
     from marl_explore.evaluation import plots as plots
     from marl_explore.evaluation import stats as stats
@@ -126,6 +127,7 @@ _EXPORTS = {
     "core.rewards": ("StepRecord",),
     "envs.exploration": ("ExplorationEnv",),
     "envs.factory": ("make_env",),
+    "envs.workers": ("split_arenas",),
     "evaluation": ("metrics", "plots", "stats"),
     "evaluation.episodes": ("play", "record", "watch"),
     "evaluation.registry": ("find_policy",),

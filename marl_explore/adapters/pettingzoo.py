@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 from tensordict import TensorDict, TensorDictBase
 
-from marl_explore.adapters.pictures import ascii_picture, rgb_picture
 from marl_explore.arenas import Generator
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.rewards import Reward
 from marl_explore.envs.factory import make_env
+from marl_explore.envs.pictures import ascii_picture, rgb_picture
 from marl_explore.policies.networks import OBSERVATION_KEYS
 from marl_explore.policies.networks.inputs import concat_observation
 
