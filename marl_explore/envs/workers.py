@@ -12,6 +12,9 @@ from torchrl.envs import EnvBase
 
 from marl_explore.config.checks import require, require_integer
 
+_IGNORE_ALL = ("ignore", None, Warning, None, 0)
+"""The filter of ``warnings.simplefilter("ignore")``."""
+
 
 class CreateEnv(Protocol):
     """Makes a part of the arenas: ``num_envs`` of them, starting at index ``first_arena``."""
@@ -61,11 +64,17 @@ def in_worker() -> bool:
 
 @lru_cache
 def warn_of_shared_arenas() -> None:
-    """Say, once per process, that other workers may have the same arenas."""
-    warnings.warn(
-        "an ExplorationEnv was made in a worker process without first_arena or set_seed: every "
-        "worker that makes it with the same arguments steps through the same arenas. Use "
-        "marl_explore.split_arenas, or pass first_arena (0 if the seeds differ)",
-        UserWarning,
-        stacklevel=2,
-    )
+    """Say, once per process, that other workers may have the same arenas.
+
+    TorchRL's workers ignore every warning, and so would never show one that is about them.
+    """
+    with warnings.catch_warnings():
+        if warnings.filters and warnings.filters[0] == _IGNORE_ALL:
+            warnings.simplefilter("default")
+        warnings.warn(
+            "an ExplorationEnv was made in a worker process without first_arena or set_seed: "
+            "every worker that makes it with the same arguments steps through the same arenas. "
+            "Use marl_explore.split_arenas, or pass first_arena (0 if the seeds differ)",
+            UserWarning,
+            stacklevel=2,
+        )

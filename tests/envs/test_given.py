@@ -30,7 +30,10 @@ WRONG = {
     "nan": (torch.full((2, 4), torch.nan), r" must be torch.int64 .* got torch.float32 .* nan"),
     "bool": (torch.ones(2, 4, dtype=torch.bool), r" must be torch.int64 .* got torch.bool .*True"),
     "a robot less": (torch.zeros(2, 3, dtype=torch.int64), r" must be .* \(2, 4\), .* \(2, 3\)"),
-    "an axis more": (torch.zeros(2, 4, 1, dtype=torch.int64), r" must be .* \(2, 4\), .* \(2, 4, 1\)"),
+    "an axis more": (
+        torch.zeros(2, 4, 1, dtype=torch.int64),
+        r" must be .* \(2, 4\), .* \(2, 4, 1\)",
+    ),
     "one-hot": (torch.zeros(2, 4, 10, dtype=torch.bool), r" must be .* \(2, 4\), .* \(2, 4, 10\)"),
     "none": (None, " is missing: .* integer from 0 to 9"),
 }
