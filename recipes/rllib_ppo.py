@@ -25,19 +25,19 @@ from torch import Tensor, nn
 
 from marl_explore import ArenaConfig, parallel_env
 
-ENVS, STEPS, BATCH = 4, 25, 1200
-"""Arenas of each process; length of an episode; robot steps per update."""
+STEPS, BATCH = 25, 400
+"""Length of an episode; team steps per update."""
 FORBIDDEN = torch.finfo(torch.float32).min
 """The logit of a forbidden action: its probability is 0, and its gradient finite."""
 
 
 def exploration(context: EnvContext) -> ParallelPettingZooEnv:
-    """One arena in RLlib; the copies of all processes have arenas of their own."""
+    """The environment in RLlib: one per process, each with arenas of its own."""
     arena = ArenaConfig(height=6, width=6, num_agents=3, communication_range=2.0)
-    copy = context.worker_index * ENVS + context.vector_index
-    seed = context["seed"]
-    env = parallel_env(arena, "team", STEPS, fpr="proximity", seed=seed, first_arena=copy)
-    return ParallelPettingZooEnv(env)
+    first = context.worker_index
+    return ParallelPettingZooEnv(
+        parallel_env(arena, "team", STEPS, fpr="proximity", first_arena=first)
+    )
 
 
 class MaskedActorCritic(TorchRLModule, ValueFunctionAPI):
@@ -45,16 +45,16 @@ class MaskedActorCritic(TorchRLModule, ValueFunctionAPI):
 
     def setup(self) -> None:
         """Make the networks."""
-        features = self.observation_space["observation"].shape[0]
-        self.actor = mlp(features, self.action_space.n)
+        observed: Any = self.observation_space
+        actions: Any = self.action_space
+        features = observed["observation"].shape[0]
+        self.actor = mlp(features, actions.n)
         self.critic = mlp(features, 1)
 
     def _forward(self, batch: dict[str, Any], **_: Any) -> dict[str, Tensor]:
         seen = batch[Columns.OBS]
         logits = self.actor(seen["observation"])
-        return {
-            Columns.ACTION_DIST_INPUTS: logits.masked_fill(seen["action_mask"] == 0, FORBIDDEN)
-        }
+        return {Columns.ACTION_DIST_INPUTS: logits.masked_fill(seen["action_mask"] == 0, FORBIDDEN)}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> Tensor:
         """The value of every observation, float [B]."""
@@ -72,8 +72,9 @@ def settings(workers: int, seed: int) -> PPOConfig:
     register_env("exploration", exploration)
     return (
         PPOConfig()
-        .environment("exploration", env_config={"seed": seed})
-        .env_runners(num_env_runners=workers, num_envs_per_env_runner=ENVS)
+        .environment("exploration")
+        .debugging(seed=seed)
+        .env_runners(num_env_runners=workers)  # more arenas per process would be the same ones
         .multi_agent(policies={"robot"}, policy_mapping_fn=lambda *_, **__: "robot")
         .rl_module(rl_module_spec=RLModuleSpec(module_class=MaskedActorCritic))
         .training(
@@ -94,7 +95,7 @@ def main(iterations: int = 30, workers: int = 0, seed: int = 0) -> list[float]:
     Args:
         iterations: number of updates.
         workers: processes that collect; 0: this one.
-        seed: of the arenas.
+        seed: of arenas, networks and actions.
     """
     torch.manual_seed(seed)
     ray.init(num_cpus=max(workers, 1), include_dashboard=False, log_to_driver=False)
