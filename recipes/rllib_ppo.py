@@ -8,20 +8,25 @@ what it forbids. Needs the extra "rllib" (docs/adapters.md, "RLlib").
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
-import ray
 import torch
 import tyro
-from ray.rllib.algorithms.ppo import PPOConfig
-from ray.rllib.core.columns import Columns
-from ray.rllib.core.rl_module.apis import ValueFunctionAPI
-from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-from ray.rllib.core.rl_module.torch import TorchRLModule
-from ray.rllib.env import EnvContext
-from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-from ray.tune.registry import register_env
 from torch import Tensor, nn
+
+try:
+    import ray
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.core.columns import Columns
+    from ray.rllib.core.rl_module.apis import ValueFunctionAPI
+    from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+    from ray.rllib.core.rl_module.torch import TorchRLModule
+    from ray.rllib.env import EnvContext
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+    from ray.tune.registry import register_env
+except ModuleNotFoundError as error:
+    sys.exit(f'error: this program needs {error.name}: pip install "marl-explore[rllib]"')
 
 from marl_explore import ArenaConfig, parallel_env
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_not_negative
 from marl_explore.core.world import check_starts
+from marl_explore.utils.extras import require_extra
 
 Floats = NDArray[np.floating]
 
@@ -78,6 +79,7 @@ class LabWorld:
         check_starts(self.obstacles, self.starts)
 
     def _build(self) -> None:
+        require_extra("vmas")
         from vmas.simulator.environment import Environment
 
         from marl_explore.lab.scenario import LabScenario

@@ -20,6 +20,7 @@ from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATU
 from marl_explore.policies.networks import PAPER_INPUTS
 from marl_explore.policies.policy import Policy
 from marl_explore.robot.policy import FORMAT
+from marl_explore.utils.extras import require_extra
 from marl_explore.utils.files import atomic_write
 
 INPUTS = ("fov", "fpr", "net", "action_mask")
@@ -109,9 +110,10 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
         folder: where to write; created if it does not exist.
 
     Raises:
-        ModuleNotFoundError: when onnx or onnxscript is not installed.
+        ModuleNotFoundError: when onnx or onnxscript is not installed, saying how to install it.
         ValueError: for actors that read more than FOV, FPR and NET.
     """
+    require_extra("onnx", "onnxscript")
     import onnx
 
     told = spec_text(policy)
