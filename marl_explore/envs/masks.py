@@ -28,7 +28,7 @@ class AllowedActions(Categorical):
     The environment keeps ``current`` up to date, and clones share it: a ``TransformedEnv`` and a
     collector's random policy hold clones. Any valid action remains in the spec. A mask of the
     spec's own (``update_mask``, as TorchRL's ``ActionMask`` calls it) takes precedence. Specs of
-    another shape or device follow no environment and draw any action.
+    another shape follow no environment and draw any action.
 
     ``EnvBase.rand_action`` stays as it is, because TorchRL refuses random rollouts of an
     environment that overrides it and has an ``ActionMask``.
@@ -41,7 +41,14 @@ class AllowedActions(Categorical):
         mask = None if self.current is None else self.current.value
         if mask is None or self.mask is not None:
             return super().rand(shape)
-        return random_allowed(mask.expand(*(shape or ()), *mask.shape))
+        drawn = random_allowed(mask.expand(*(shape or ()), *mask.shape))
+        return drawn.to(self.device, self.dtype)
+
+    def to(self, dest: torch.dtype | torch.device | str) -> AllowedActions:
+        """The spec with another dtype or on another device, of the same environment."""
+        moved: Any = super().to(dest)
+        moved.current = self.current
+        return moved
 
     def clone(self) -> AllowedActions:
         """A copy that follows the same environment."""

@@ -118,6 +118,15 @@ def test_environments_side_by_side_are_masked_by_the_transform():
     assert obeys(env.rollout(5))
 
 
+def test_specs_that_are_moved_follow_the_environment():
+    env = ExplorationEnv(num_envs=32)
+    moved = env.full_action_spec.clone().to("cpu")[ACTION].to(torch.int32)
+    td = env.rollout(2)[:, -1]["next"]
+    drawn = moved.rand()
+    assert drawn.dtype == torch.int32
+    assert obeys(td.set(ACTION, drawn.long()))
+
+
 def test_specs_on_their_own_draw_any_action_in_their_shape():
     env = ExplorationEnv(num_envs=16)
     spec = env.full_action_spec[ACTION]
