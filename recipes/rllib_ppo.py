@@ -103,7 +103,8 @@ def main(iterations: int = 30, workers: int = 0, seed: int = 0) -> list[float]:
         seed: of arenas, networks and actions.
     """
     torch.manual_seed(seed)
-    ray.init(num_cpus=max(workers, 1), include_dashboard=False, log_to_driver=False)
+    cpus = max(workers, 1)  # of a Ray of its own, also where another one runs
+    ray.init("local", num_cpus=cpus, include_dashboard=False, log_to_driver=False)
     algorithm = settings(workers, seed).build_algo()
     returns: list[float] = []
     for iteration in range(1, iterations + 1):
