@@ -17,7 +17,7 @@ from marl_explore import ArenaConfig, make_env
 from marl_explore.planners import PLANNERS
 from marl_explore.training.collectors import make_collector
 from marl_explore.training.config import TrainConfig
-from marl_explore.training.trainer import make_training_env
+from marl_explore.training.environment import make_training_env
 
 ROBOTS = 4
 EPISODE = 200

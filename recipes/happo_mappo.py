@@ -9,6 +9,8 @@ or all on every minibatch without it (``MAPPOLoss``).
 
 from __future__ import annotations
 
+import math
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -25,6 +27,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 from torchrl.modules import PopArtValueNorm
 from torchrl.objectives.multiagent import MAPPOLoss
+from tqdm import tqdm
 
 from marl_explore import (
     FactorWatch,
@@ -39,6 +42,7 @@ from marl_explore import (
     run_program,
     sequential_update,
     summarize_seeds,
+    tables,
 )
 
 ALGORITHMS = ("happo", "mappo")
@@ -138,19 +142,24 @@ def compare(make_env: Callable[[int], EnvBase], max_steps: int, settings: Settin
             learner = Learner(make_env(seed), max_steps, settings, sequential=name == "happo")
             logger = Loggers("csv", run, _plain(settings), frames=0)
             start = time.perf_counter()
-            for frames, metrics in learner.run():
-                logger.log(metrics | {"seconds": time.perf_counter() - start}, frames)
+            with _progress_bar(f"{name}, seed {seed}", settings) as bar:
+                for frames, metrics in learner.run():
+                    logger.log(metrics | {"seconds": time.perf_counter() - start}, frames)
+                    bar.update(settings.frames)
             print(f"{name}, seed {seed}: {time.perf_counter() - start:.0f} s", flush=True)
-    curves = {name.upper(): folders for name, folders in runs.items()}
-    measures = {"episode_return": "return of an episode"}
-    plots.training_figure(
-        curves, folder / "curves.png", measures, steps="steps of single environments"
-    )
     summary = {name: summarize_seeds(folder / name, seeds) for name in ALGORITHMS}
     records.write_json(folder / "summary.json", summary)
+    ended = all("episode_return" in over_seeds for over_seeds in summary.values())
+    measure, label = ("episode_return", "return of an episode") if ended else ("reward", "reward")
+    curves = {name.upper(): folders for name, folders in runs.items()}
+    plots.training_figure(
+        curves, folder / "curves.png", {measure: label}, steps="steps of single environments"
+    )
     for name, over_seeds in summary.items():
-        row = over_seeds["episode_return"]
-        print(f"{name}: return {row['mean']:.2f} [{row['low']:.2f}, {row['high']:.2f}]")
+        row = over_seeds[measure]
+        found = (row[key] for key in ("mean", "low", "high"))
+        mean, low, high = (math.nan if number is None else number for number in found)
+        print(f"{name}: {label} {tables.estimate(mean, low, high)}")
     print(f"runs, curves and every metric: {folder}")
     return folder
 
@@ -255,6 +264,15 @@ class Learner:
         norm = self.settings.max_grad_norm
         nn.utils.clip_grad_norm_(parameters, norm, error_if_nonfinite=True)
         optimizer.step()
+
+
+def _progress_bar(title: str, settings: Settings) -> tqdm[Any]:
+    return tqdm(
+        total=settings.frames * settings.updates,
+        desc=title,
+        unit=" steps",
+        mininterval=0.2 if sys.stderr.isatty() else 15,  # few lines in a log file
+    )
 
 
 def _plain(settings: Settings) -> Mapping[str, Any]:

@@ -57,14 +57,14 @@ def main(updates: int = 60) -> float:
     env.append_transform(RewardSum())
 
     # One actor per robot, and one critic that reads all observations.
-    names = [f"robot_{i}" for i in range(arena.num_agents)]
+    names = env.group_map["agents"]
     network = MLP(hidden=(64, 64))
     networks = [network.make_actor(arena) for _ in names]
     critic = network.make_critic(arena, "observation")
     loss = HAPPOLoss(
         actors={n: probabilistic_actor(net) for n, net in zip(names, networks, strict=True)},
         critic=critic,
-        views={name: ("agents", i) for i, name in enumerate(names)},
+        group_map=env.group_map,
     )
     loss.make_value_estimator(gamma=0.95, lmbda=0.95)
     optimizers: dict[str, Optimizer] = {

@@ -12,6 +12,9 @@ from typing import Annotated
 
 import tyro
 
+from marl_explore.cli.common import parse_options
+from marl_explore.config.checks import require
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -27,12 +30,17 @@ def run(arguments: Arguments) -> None:
     """Bundle every run, and print its score."""
     from marl_explore.evaluation.results import format_table
     from marl_explore.policies.io import BUNDLED, policy_info
-    from marl_explore.training.pretrain import bundle
+    from marl_explore.training.pretrain import bundle, require_name, run_info
 
     named = [word.partition("=") for word in arguments.policies]
     for name, equals, folder in named:
         if not (name and equals and folder):
             raise ValueError(f"policies={name!r} is not allowed: use NAME=RUN")
+        require_name(name)
+    names = [name for name, _, _ in named]
+    require(len(set(names)) == len(names) > 0, "policies", names, "give each name once")
+    for _, _, folder in named:
+        run_info(folder)  # refuses what is not a finished run before anything is written
     paths = {n: bundle(folder, n, arguments.out or BUNDLED) for n, _, folder in named}
     print(format_table({name: policy_info(path)["score"] for name, path in paths.items()}))
     for path in paths.values():
@@ -41,4 +49,4 @@ def run(arguments: Arguments) -> None:
 
 def parse(words: Sequence[str], prog: str = "marl-explore bundle") -> Arguments:
     """Parse a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words)
+    return parse_options(Arguments, words, prog, __doc__)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.util import find_spec
@@ -12,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
+from marl_explore.cli.config_file import take_config
 from marl_explore.config.arena import ANY_SIZE, ArenaConfig
 from marl_explore.config.checks import require_integer
 from marl_explore.utils.interrupts import RunInterruptedError
@@ -59,18 +62,74 @@ class Task:
         return {name: find_policy(name, self.arena) for name in self.policies}
 
 
+def parse_options(
+    kind: type[Arguments], words: Sequence[str], prog: str, about: str | None
+) -> Arguments:
+    """Parse a command line of options and ``--config FILE``.
+
+    Raises:
+        ValueError: for a setting that is not allowed.
+        SystemExit: for anything else that is wrong, and after --help.
+    """
+    words, file = take_config(words)
+    return parse_words(kind, words, prog, about, file.new(kind) if file else None)
+
+
 def parse_task(
     kind: type[TaskArguments], words: Sequence[str], prog: str, about: str | None
 ) -> TaskArguments:
-    """Parse a command line; the arena of a trained policy gives the defaults of the arena flags."""
-    return tyro.cli(
-        kind,
-        prog=prog,
-        description=about,
-        args=words,
-        default=kind((), *default_task(words)),
-        config=OPTIONS,
-    )
+    """As ``parse_options``; the arena of a trained policy gives the defaults of the arena flags."""
+    words, file = take_config(words)
+    named, arenas = list(words), None
+    if file is not None:
+        named += map(str, file.get("policies") or ())
+        arenas = file.get("arenas")
+    default = kind((), *default_task(named, arenas))
+    return parse_words(kind, words, prog, about, file.fill(default) if file else default)
+
+
+def parse_words(
+    kind: type[Arguments],
+    words: Sequence[str],
+    prog: str,
+    about: str | None,
+    default: Arguments | None = None,
+) -> Arguments:
+    """Parse a command line of options; as ``parse_options``."""
+    for word in words:
+        if not word or (word.startswith("--") and word.endswith("=")):
+            raise ValueError(f"{word!r} is not allowed on a command line: give a value")
+    hint = "\n\nOptions may also stand in a YAML or JSON file: --config FILE"
+    told = io.StringIO()
+    try:
+        with redirect_stderr(told):  # tyro's message is replaced when the fault is in a setting
+            return tyro.cli(
+                kind,
+                prog=prog,
+                description=(about or "") + hint,
+                args=words,
+                config=OPTIONS,
+                default=tyro.MISSING_NONPROP if default is None else default,
+            )
+    except SystemExit as stop:
+        if (error := _refusal(stop)) is not None:
+            raise ValueError(error) from None
+        sys.stderr.write(told.getvalue())
+        raise
+
+
+def _refusal(stop: SystemExit) -> str | None:
+    """What this package said of a setting that it refused, if that is why tyro exits."""
+    error: BaseException | None = stop
+    while error is not None:
+        trace = error.__traceback__
+        while trace is not None and trace.tb_next is not None:
+            trace = trace.tb_next
+        own = trace is not None and trace.tb_frame.f_globals["__name__"].startswith("marl_explore.")
+        if isinstance(error, ValueError) and own:
+            return str(error)
+        error = error.__context__
+    return None
 
 
 def flag_value(words: Sequence[str], name: str) -> str | None:
@@ -107,13 +166,16 @@ def _warn_of_losses(arenas: str, cell_size: float) -> None:
         )
 
 
-def default_task(words: Sequence[str]) -> tuple[ArenaConfig, str]:
+def default_task(
+    words: Sequence[str], arenas_of_file: str | None = None
+) -> tuple[ArenaConfig, str]:
     """Default arena and kind of arenas of a command line, before its other flags.
 
-    They are those of the first trained policy that it names; --arenas replaces kind and size.
+    They are those of the first trained policy that it names; --arenas, or what a file of options
+    says, replaces kind and size.
     """
     arena, arenas = next(filter(None, map(_trained_on, words)), (ArenaConfig(), "uniform"))
-    named = flag_value(words, "--arenas")
+    named = flag_value(words, "--arenas") or arenas_of_file
     return (fitted(arena, named), named) if named else (arena, arenas)
 
 
@@ -129,8 +191,8 @@ def run_program(parse: Callable[[], Arguments], run: Callable[[Arguments], None]
     """Parse and run; on an error the program prints one line and exits with status 1."""
     try:
         run(parse())
-    except (ValueError, OSError, FloatingPointError) as error:
-        sys.exit(f"error: {error}")
+    except (ValueError, OSError, FloatingPointError, ImportError, MemoryError) as error:
+        sys.exit(f"error: {error or type(error).__name__}")
     except RunInterruptedError as interrupted:
         print(interrupted, file=sys.stderr)
         sys.exit(interrupted.status)

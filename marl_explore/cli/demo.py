@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import tyro
-
+from marl_explore.cli.common import parse_options
 from marl_explore.config.checks import require_integer
 from marl_explore.training.presets import PRESETS
 
@@ -44,7 +43,7 @@ class Arguments:
 
 def parse(words: Sequence[str], prog: str = "marl-explore demo") -> Arguments:
     """Parse a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words)
+    return parse_options(Arguments, words, prog, __doc__)
 
 
 def run(arguments: Arguments) -> None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from marl_explore.cli.common import OPTIONS
+from marl_explore.cli.common import parse_options
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer, require_positive
 
@@ -97,7 +97,7 @@ class Arguments:
 
 def parse(words: Sequence[str], prog: str = "marl-explore explore") -> Arguments:
     """Read a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words, config=OPTIONS)
+    return parse_options(Arguments, words, prog, __doc__)
 
 
 def run(arguments: Arguments) -> None:

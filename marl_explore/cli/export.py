@@ -14,6 +14,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from marl_explore.cli.common import parse_options
+from marl_explore.config.checks import require
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -26,10 +29,14 @@ class Arguments:
     kinds: tuple[Literal["npz", "onnx"], ...] = ("npz", "onnx")
     """Formats to write."""
 
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        require(len(self.kinds) > 0, "kinds", self.kinds, "name at least one format, npz or onnx")
+
 
 def parse(words: Sequence[str], prog: str = "marl-explore export") -> Arguments:
     """Parse a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words)
+    return parse_options(Arguments, words, prog, __doc__)
 
 
 def run(arguments: Arguments) -> None:

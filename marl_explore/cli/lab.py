@@ -15,7 +15,7 @@ from typing import Annotated
 
 import tyro
 
-from marl_explore.cli.common import OPTIONS
+from marl_explore.cli.common import parse_options
 from marl_explore.config.checks import require_integer
 
 
@@ -58,7 +58,7 @@ class Arguments:
 
 def parse(words: Sequence[str], prog: str = "marl-explore lab") -> Arguments:
     """Parse a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words, config=OPTIONS)
+    return parse_options(Arguments, words, prog, __doc__)
 
 
 def run(arguments: Arguments) -> None:

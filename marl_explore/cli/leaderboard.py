@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from marl_explore.cli.common import parse_options
 from marl_explore.config.checks import require_integer
 
 if TYPE_CHECKING:
@@ -60,7 +61,10 @@ class Arguments:
 
 def parse(words: Sequence[str], prog: str = "marl-explore leaderboard") -> Arguments:
     """Parse a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words)
+    arguments = parse_options(Arguments, words, prog, __doc__)
+    if "--suites" in words and not arguments.suites:
+        raise ValueError("suites=() is not allowed: name at least one suite, or leave it out")
+    return arguments
 
 
 def run(arguments: Arguments) -> None:

@@ -1,6 +1,8 @@
-"""Resume a training run, or a sweep over seeds, from its last checkpoints.
+"""Resume a training run, or a sweep over seeds, from its last checkpoints, or make it longer.
 
 marl-explore resume runs/cnn-case2-seed1
+
+marl-explore resume runs/cnn-case2-seed1 --episodes 10000
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from marl_explore.cli.common import OPTIONS
+from marl_explore.cli.common import parse_options
+from marl_explore.config.checks import require_integer
 
 if TYPE_CHECKING:
     from marl_explore.training.seeds import Summary
@@ -26,19 +29,29 @@ class Resume:
     """Folder of the run or the sweep."""
     from_previous: bool = False
     """Whether to resume from the checkpoint before the last one."""
+    episodes: int | None = None
+    """New length of the run, or of every run of the sweep, to make it longer (episodes)."""
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        if self.episodes is not None:
+            require_integer("episodes", self.episodes, 1)
 
 
 def parse(words: Sequence[str], prog: str = "marl-explore resume") -> Resume:
     """Parse a command line."""
-    return tyro.cli(Resume, prog=prog, description=__doc__, args=words, config=OPTIONS)
+    return parse_options(Resume, words, prog, __doc__)
 
 
 def run(arguments: Resume) -> None:
     """Finish the run, and print where the results are."""
     from marl_explore.training import runs, seeds
+    from marl_explore.training.run_folder import lengthen
 
     folder, summary = arguments.folder, None
     if not seeds.is_sweep(folder):
+        if arguments.episodes is not None:
+            lengthen(folder, arguments.episodes)
         runs.resume(folder, from_previous=arguments.from_previous)
     elif arguments.from_previous:
         raise ValueError(
@@ -46,7 +59,7 @@ def run(arguments: Resume) -> None:
             "with it, such as seed-0"
         )
     else:
-        summary = seeds.resume_sweep(folder)
+        summary = seeds.resume_sweep(folder, arguments.episodes)
     report(folder, summary)
 
 

@@ -21,7 +21,8 @@ from typing import Annotated, Any, Literal, Union
 
 import tyro
 
-from marl_explore.cli.common import OPTIONS, fitted, flag_value
+from marl_explore.cli.common import fitted, flag_value, parse_words
+from marl_explore.cli.config_file import take_config
 from marl_explore.cli.resume import Resume
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
@@ -66,16 +67,30 @@ def parse(
     """Parse a command line: a preset and changes to it, or a run to resume.
 
     A suite fixes size and density, which other flags then cannot change. With another network, the
-    flags of its options replace those of the preset's network.
+    flags of its options replace those of the preset's network. With ``--config FILE``, such as
+    another run's ``config.json``, a preset need not be named.
     """
+    words, file = take_config(words)
     run = run or RunConfig()
-    arenas, network = flag_value(words, "--arenas") or "uniform", flag_value(words, "--network")
+    arenas, network = flag_value(words, "--arenas"), flag_value(words, "--network")
+    if file is not None:
+        arenas, network = arenas or file.get("arenas"), network or file.get("network")
+
+    chosen = words[0] if words and not words[0].startswith("-") else None
+    defaults = {
+        name: _start(config, arenas or "uniform", network, run) for name, config in PRESETS.items()
+    }
+    if file and chosen is None:  # the file says it all
+        start = file.fill(_start(TrainConfig(), arenas or "uniform", network, run))
+        return parse_words(Start, words, prog, about, start)
+    if file and chosen in defaults:
+        defaults[chosen] = file.fill(defaults[chosen])
     choices: list[Any] = [
         Annotated[
             Start,
             tyro.conf.subcommand(
                 name,
-                default=_start(config, arenas, network, run),
+                default=defaults[name],
                 description=f"{config.network.name}, reward {config.reward}, "
                 f"{config.episodes} episodes",
             ),
@@ -84,7 +99,7 @@ def parse(
     ]
     choices.append(Annotated[Resume, tyro.conf.subcommand("resume")])
     kinds: Any = Union[tuple(choices)]  # noqa: UP007 - made at run time
-    return tyro.cli(kinds, prog=prog, description=about, args=words, config=OPTIONS)
+    return parse_words(kinds, words, prog, about)
 
 
 def _start(config: TrainConfig, arenas: str, network: str | None, run: RunConfig) -> Start:

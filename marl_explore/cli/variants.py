@@ -17,6 +17,7 @@ from typing import Annotated
 
 import tyro
 
+from marl_explore.cli.common import parse_options
 from marl_explore.config.checks import require_integer
 
 STEPS = 300
@@ -44,7 +45,7 @@ class Arguments:
 
 def parse(words: Sequence[str], prog: str = "marl-explore variants") -> Arguments:
     """Parse a command line."""
-    return tyro.cli(Arguments, prog=prog, description=__doc__, args=words)
+    return parse_options(Arguments, words, prog, __doc__)
 
 
 def run(arguments: Arguments) -> None:

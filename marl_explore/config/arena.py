@@ -6,9 +6,12 @@ import math
 from dataclasses import dataclass
 
 from marl_explore.config.checks import require, require_integer, require_positive
+from marl_explore.config.fields import check_types
 
 ANY_SIZE = ("uniform", "mixed")
 """Kinds of arenas that take any size; suites have a fixed size."""
+MAX_SENSING_CELLS = 1000
+"""Largest sensing radius in cells: a field of view beyond it holds millions of cells per robot."""
 TOLERANCE = 1e-9
 """Tolerance in every comparison of real distances, so that 0.3 / 0.1 counts as 3."""
 
@@ -40,6 +43,7 @@ class ArenaConfig:
 
     def __post_init__(self) -> None:
         """Raise an error for settings that are not allowed."""
+        check_types(self)
         require_integer("height", self.height, 1)
         require_integer("width", self.width, 1)
         require_integer("num_agents", self.num_agents, 1)
@@ -56,6 +60,12 @@ class ArenaConfig:
             "obstacle_density",
             self.obstacle_density,
             "it must lie in [0, 1)",
+        )
+        require(
+            self.sensing_range < MAX_SENSING_CELLS * self.cell_size,
+            "sensing_range",
+            self.sensing_range,
+            f"it must be less than {MAX_SENSING_CELLS} cells of {self.cell_size} m",
         )
         smallest = 1.5 * math.sqrt(2) * self.cell_size
         require(

@@ -12,25 +12,39 @@ def require(condition: bool, name: str, value: object, allowed: str) -> None:
         raise ValueError(f"{name}={value!r} is not allowed: {allowed}")
 
 
-def require_integer(name: str, value: object, low: int) -> None:
-    """Require an integer of at least ``low``."""
+MAX_INTEGER = 2**63 - 1
+"""Largest integer of any setting: that of an int64."""
+
+
+def require_integer(name: str, value: object, low: int, high: int = MAX_INTEGER) -> None:
+    """Require an integer from ``low`` to ``high``."""
     integer = isinstance(value, int) and not isinstance(value, bool)
+    allowed = f"an integer of at least {low}"
+    if integer and value > high:  # type: ignore[operator]
+        allowed += f", and at most {high}"
     require(
-        integer and value >= low,  # type: ignore[operator]
+        integer and low <= value <= high,  # type: ignore[operator]
         name,
         value,
-        f"it must be an integer of at least {low}",
+        f"it must be {allowed}",
     )
 
 
-def require_positive(name: str, value: float, unit: str) -> None:
+def require_positive(name: str, value: float, unit: str = "") -> None:
     """Require a positive finite number."""
-    require(0 < value < math.inf, name, value, f"it must be a positive finite number of {unit}")
+    of = f" of {unit}" if unit else ""
+    require(0 < value < math.inf, name, value, f"it must be a positive finite number{of}")
 
 
-def require_not_negative(name: str, value: float, unit: str) -> None:
+def require_not_negative(name: str, value: float, unit: str = "") -> None:
     """Require a finite number of at least 0."""
-    require(0 <= value < math.inf, name, value, f"it must be at least 0 {unit}, and finite")
+    least = f"0 {unit}".strip()
+    require(0 <= value < math.inf, name, value, f"it must be at least {least}, and finite")
+
+
+def require_share(name: str, value: float) -> None:
+    """Require a number in [0, 1]."""
+    require(0 <= value <= 1, name, value, "it must lie in [0, 1]")
 
 
 def require_coverage(name: str, value: float | None) -> None:

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
-from marl_explore.config.checks import require_integer
+from marl_explore.config.checks import MAX_INTEGER, require, require_integer
+from marl_explore.config.fields import check_types
 
 CollectorKind = Literal["process", "multisync", "multiasync", "ray"]
 LoggerName = Literal["csv", "tensorboard", "wandb", "mlflow"]
 Selection = Literal["steps_to_80", "steps_to_90", "steps_to_95", "steps_to_99", "steps_to_100"]
-_CHOICES = {
-    "collector": get_args(CollectorKind),
-    "logger": get_args(LoggerName),
-    "select_by": get_args(Selection),
-}
+MAX_THREADS = 1024
+MAX_SEEDS = 10_000
+"""Most runs of one sweep."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """Execution settings of a run; ``TrainConfig`` has what is learned.
 
-    Only ``collector`` and ``workers`` affect what is learned: every worker samples its actions
-    from a random generator of its own.
+    ``collector``, ``workers`` and ``threads`` affect what is learned: every worker samples its
+    actions from a random generator of its own, and torch sums in another order with more threads.
 
     Raises:
         ValueError: naming the field, its value and what is allowed.
@@ -53,20 +52,18 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         """Raise an error for settings that are not allowed."""
-        for name in ("workers", "threads", "keep_checkpoints"):
+        check_types(self)
+        for name in ("workers", "keep_checkpoints", "validation_arenas"):
             require_integer(name, getattr(self, name), 1)
-        require_integer("validation_arenas", self.validation_arenas, 1)
+        require_integer("threads", self.threads, 1, MAX_THREADS)
         if self.validation_steps is not None:
             require_integer("validation_steps", self.validation_steps, 1)
         for name in ("checkpoint_every", "validate_every"):
             require_integer(name, getattr(self, name), 0)
-        for name, allowed in _CHOICES.items():
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name}={getattr(self, name)!r} is not allowed: use {allowed}")
         if self.collector == "process" and self.workers > 1:
             raise ValueError(
-                f"workers={self.workers} is not allowed with collector='process': use "
-                f"{_CHOICES['collector'][1:]}"
+                f"workers={self.workers} is not allowed with collector='process': use multisync, "
+                "multiasync or ray"
             )
         if self.ray_address is not None and self.collector != "ray":
             raise ValueError(
@@ -84,12 +81,19 @@ def parse_seeds(text: str) -> list[int]:
     seeds: list[int] = []
     for part in text.split(","):
         bounds = part.split("-")
-        span = range(0)
-        if len(bounds) <= 2 and all(bound.isdecimal() for bound in bounds):
-            span = range(int(bounds[0]), int(bounds[-1]) + 1)
-        if not span:
-            raise ValueError(f"seeds={text!r} is not allowed: use a range 0-4 or a list 0,2,7")
-        seeds += span
+        numbers = [int(b) for b in bounds if b.isdecimal() and len(b) < 20]
+        if len(numbers) < len(bounds) or len(bounds) > 2 or numbers[0] > numbers[-1]:
+            raise ValueError(
+                f"seeds={text!r} is not allowed: use a range 0-4 or a list 0,2,7 of integers up to "
+                f"{MAX_INTEGER}"
+            )
+        require(
+            numbers[-1] <= MAX_INTEGER and numbers[-1] - numbers[0] + len(seeds) < MAX_SEEDS,
+            "seeds",
+            text,
+            f"use at most {MAX_SEEDS} seeds, up to {MAX_INTEGER}",
+        )
+        seeds += range(numbers[0], numbers[-1] + 1)
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"seeds={text!r} is not allowed: give every seed only once")
     return seeds

@@ -20,6 +20,7 @@ from marl_explore.core.hashing import stream_seed
 from marl_explore.core.world import WorldState
 from marl_explore.envs.given import checked_action, checked_seed, given_state, loaded_state
 from marl_explore.envs.masks import CurrentMask
+from marl_explore.envs.memory import require_env_memory
 from marl_explore.envs.pictures import RenderMode, picture
 from marl_explore.envs.specs import exploration_specs
 from marl_explore.envs.state import EpisodeState, LastStep
@@ -74,6 +75,7 @@ class ExplorationEnv(EnvBase):
             raise ValueError(f"stream={stream!r} is not allowed: it must be a string")
         require_coverage("terminate_at_coverage", terminate_at_coverage)
         seed = checked_seed(seed)
+        require_env_memory(config, num_envs)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
         self.max_steps = max_steps

@@ -16,11 +16,15 @@ from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
 from marl_explore.core.mapping import known_mask, target_cells, union_of
 from marl_explore.envs.exploration import ExplorationEnv
+from marl_explore.envs.memory import require_env_memory
 from marl_explore.evaluation.metrics import Episodes, Snapshot, snapshot
+from marl_explore.utils.memory import require_memory
 
 Actor = Callable[[TensorDictBase], TensorDictBase]
 
 TEST_STREAM = "test"
+BYTES_PER_STEP = 42
+"""Of a robot's step in ``Episodes``."""
 EVENTS = ("dangerous", "merged", "discovered", "received")
 
 
@@ -134,10 +138,24 @@ def record(
         stream: family of arenas.
         arenas: a suite's name or a generator, as for ``ExplorationEnv``.
     """
-    require_integer("num_arenas", num_arenas, 1)
+    steps = default_steps(arenas) if steps is None else steps
+    require_recording(config or default_config(arenas), num_arenas, steps)
     with _test_env(config, steps, seed, stream, arenas, num_envs=num_arenas) as env:
         shared = getattr(policy, "shares_maps", False)
         return measure_steps(play(policy, env, env.max_steps), env.config, shared)
+
+
+def require_recording(config: ArenaConfig, num_arenas: int, steps: int) -> None:
+    """Raise an error for episodes that ``record`` could not hold on this machine.
+
+    Raises:
+        ValueError: naming the setting that is not allowed, or those that need the memory.
+    """
+    require_integer("num_arenas", num_arenas, 1)
+    require_integer("steps", steps, 1)
+    require_env_memory(config, num_arenas)
+    counts = BYTES_PER_STEP * config.num_agents * num_arenas * steps
+    require_memory(f"num_arenas={num_arenas} x steps={steps}", counts)
 
 
 def measure_steps(

@@ -11,23 +11,35 @@ stock ``ClipPPOLoss``, and the TensorDict carries the factor M from one update t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import ValueNorm
-from torchrl.objectives import ClipPPOLoss, LossModule
-from torchrl.objectives.utils import ValueEstimators, distance_loss
-from torchrl.objectives.value import GAE
+from torchrl.objectives import ClipPPOLoss
 
-View = tuple[NestedKey, int]
+from marl_explore.happo.checks import (
+    check_batch,
+    check_options,
+    check_parts,
+    check_rows,
+    read_column,
+    require_column,
+    require_finite,
+    state_keys,
+)
+from marl_explore.happo.critic import ESTIMATE, TeamCriticLoss
+from marl_explore.happo.policy import TeamPolicy
+from marl_explore.happo.ratio import actor_entries, actor_log_ratio, own_keys
+from marl_explore.happo.views import View as View
+from marl_explore.happo.views import find_views
 
 
-class HAPPOLoss(LossModule):
+class HAPPOLoss(TeamCriticLoss):
     """Losses of a team of actors and their shared critic, for sequential updates.
 
     One iteration on a batch of any shape ``*B``, the factor absent at first::
@@ -49,35 +61,87 @@ class HAPPOLoss(LossModule):
     ============================ ================= ==============================================
 
     Args:
-        actors: a probabilistic actor per name; their parameters must not be shared.
+        actors: a probabilistic actor per name; their parameters must not be shared. Recurrent
+            ones (``LSTMModule``, ``GRUModule``) are unrolled over whole rows [*B, T] of a rollout.
         critic: module that writes ``value`` from the joint observation or the state; None for
             actors alone.
         views: per actor the (group, index) it reads: its slice of a stacked group [*B, N, ...].
             An actor without a view reads its own group. Groups may differ in action space. If k
             agents share an actor, [*B, k, ...], each agent's ratio is clipped on its own, as in
             MAPPO, and M is multiplied by their product.
+        group_map: in place of views, an environment's agents by group; the actors then have the
+            names of agents or of whole groups (``views_of``).
         clip_epsilon: half width of the clipping range of the ratio.
         entropy_coeff: weight of the entropy bonus, not weighted by M.
         value_norm: running statistics that define the critic's units; None: reward units.
-        **actor_options: further options of ``ClipPPOLoss``.
+        **actor_options: further options of ``ClipPPOLoss``: ``checks.ACTOR_OPTIONS``.
 
     Raises:
-        ValueError: without actors, for a view that does not fit, or for shared parameters.
+        ValueError: without actors; for an actor that has no distribution, writes no
+            log-probability or several actions, acts for another's agent or shares its parameters;
+            for a view, group_map or option that does not fit.
+
+    Example:
+        Two agents of the group "agents", with three discrete actions each:
+
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule
+        >>> from torch import nn
+        >>> from torchrl.modules import ProbabilisticActor
+        >>> from marl_explore import HAPPOLoss
+        >>> def make_actor():
+        ...     return ProbabilisticActor(
+        ...         TensorDictModule(
+        ...             nn.Linear(4, 3), [("agents", "observation")], [("agents", "logits")]
+        ...         ),
+        ...         in_keys={"logits": ("agents", "logits")},
+        ...         out_keys=[("agents", "action")],
+        ...         distribution_class=torch.distributions.Categorical,
+        ...         return_log_prob=True,
+        ...         log_prob_key=("agents", "log_prob"),
+        ...     )
+        >>> critic = TensorDictModule(nn.Linear(5, 1), ["state"], ["state_value"])
+        >>> loss = HAPPOLoss(
+        ...     {"left": make_actor(), "right": make_actor()},
+        ...     critic,
+        ...     group_map={"agents": ["left", "right"]},
+        ... )
+        >>> loss.views
+        {'left': ('agents', 0), 'right': ('agents', 1)}
+        >>> ended = torch.zeros(8, 20, 1, dtype=torch.bool)  # of 8 environments, 20 steps
+        >>> after = {"state": torch.randn(8, 20, 5), "reward": torch.randn(8, 20, 1)}
+        >>> rollout = TensorDict(
+        ...     {
+        ...         "state": torch.randn(8, 20, 5),
+        ...         "agents": {"observation": torch.randn(8, 20, 2, 4)},
+        ...         "next": {**after, "done": ended, "terminated": ended},
+        ...     },
+        ...     batch_size=[8, 20],
+        ... )
+        >>> with torch.no_grad():
+        ...     rollout = loss.make_policy()(rollout)  # in a collector, as a rule
+        >>> optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
+        >>> def descend(value):
+        ...     optimizer.zero_grad()
+        ...     value.backward()
+        ...     optimizer.step()
+        >>> batch = loss.estimate_advantage(rollout).reshape(-1)
+        >>> for name in loss.update_order():
+        ...     losses = loss.actor_loss(batch, name)
+        ...     descend(losses["loss_objective"] + losses["loss_entropy"])
+        ...     batch = loss.update_factor(batch, name)
+        >>> descend(loss.critic_loss(batch)["loss_critic"])
+        >>> batch["factor"].shape
+        torch.Size([160, 1])
     """
 
     @dataclass
-    class _AcceptedKeys:
-        advantage: NestedKey = "advantage"
-        value_target: NestedKey = "value_target"
-        value: NestedKey = "state_value"
+    class _AcceptedKeys(TeamCriticLoss._AcceptedKeys):
         factor: NestedKey = "factor"
-        reward: NestedKey = "reward"
-        done: NestedKey = "done"
-        terminated: NestedKey = "terminated"
 
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
-    default_value_estimator = ValueEstimators.GAE
 
     def __init__(
         self,
@@ -85,14 +149,16 @@ class HAPPOLoss(LossModule):
         critic: TensorDictModule | None = None,
         *,
         views: Mapping[str, View] | None = None,
+        group_map: Mapping[str, Sequence[str]] | None = None,
         clip_epsilon: float = 0.2,
         entropy_coeff: float = 0.01,
         value_norm: ValueNorm | None = None,
         **actor_options: Any,
     ) -> None:
-        super().__init__()
-        self.views = dict(views or {})
-        _check_parts(actors, critic, self.views)
+        super().__init__(critic, value_norm)
+        self.views = find_views(actors, views, group_map)
+        check_options(clip_epsilon, actor_options)
+        check_parts(actors, critic, self.views)
         self.actor_losses = nn.ModuleDict()
         for name, actor in actors.items():
             self.actor_losses[name] = ClipPPOLoss(
@@ -104,8 +170,7 @@ class HAPPOLoss(LossModule):
                 functional=False,
                 **actor_options,
             )
-        self.critic = critic
-        self.value_norm = value_norm
+        self._states = {name: state_keys(actor) for name, actor in actors.items()}
 
     @property
     def names(self) -> list[str]:
@@ -123,13 +188,7 @@ class HAPPOLoss(LossModule):
 
     def actor_keys(self, name: str) -> list[NestedKey]:
         """Entries that ``actor_loss`` reads: minibatches need no others. The factor is optional."""
-        return [*self._own_keys(name), self.tensor_keys.advantage, self.tensor_keys.factor]
-
-    @property
-    def critic_keys(self) -> list[NestedKey]:
-        """Entries that ``critic_loss`` reads: minibatches need no others."""
-        read = self.critic.in_keys if self.critic is not None else []
-        return [*read, self.tensor_keys.value_target]
+        return [*own_keys(self._loss_of(name)), self.tensor_keys.advantage, self.tensor_keys.factor]
 
     @property
     def out_keys(self) -> list[str]:
@@ -170,31 +229,19 @@ class HAPPOLoss(LossModule):
             Scalars ``loss_objective`` and ``loss_entropy``, and the diagnostics of
             ``ClipPPOLoss``: entropy, clip_fraction, kl_approx, ESS (over the first batch
             dimension), mean_ratio, max_ratio.
+
+        Raises:
+            ValueError: for an unknown actor, a missing entry, or one of the wrong shape.
+            FloatingPointError: for an advantage or factor that is not finite.
         """
         view = self._view(tensordict, name)
-        advantage = tensordict.get(self.tensor_keys.advantage)
-        factor = tensordict.get(self.tensor_keys.factor, None)
+        key = self.tensor_keys.advantage
+        advantage = read_column(tensordict, key, ESTIMATE.format(name="advantage"))
+        factor = self._factor(tensordict)
         if factor is not None:
             advantage = factor * advantage
+        require_finite(advantage, f"the factor times {key!r}")
         return self._loss_of(name)(view.set("advantage", advantage))
-
-    def critic_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Mean squared error of the critic, in the units of ``value_norm``.
-
-        Returns:
-            Scalars ``loss_critic`` and ``explained_variance``.
-        """
-        if self.critic is None:
-            raise ValueError("critic_loss needs a critic, and HAPPOLoss was built with critic=None")
-        target = tensordict.get(self.tensor_keys.value_target)
-        if self.value_norm is not None:
-            target = self.value_norm.normalize(target)
-        inputs = tensordict.select(*self.critic.in_keys)
-        value = self.critic(inputs).get(self.tensor_keys.value)
-        residual = (target - value.detach()).var(correction=0)
-        explained = 1 - residual / target.var(correction=0).clamp_min(torch.finfo().eps)
-        loss = distance_loss(target, value, loss_function="l2").mean()
-        return TensorDict({"loss_critic": loss, "explained_variance": explained}, batch_size=[])
 
     # ------------------------------------------------------- sequential updates
 
@@ -208,130 +255,44 @@ class HAPPOLoss(LossModule):
         """Multiply the factor by an updated actor's ratios, over the full batch.
 
         Writes ``tensor_keys.factor`` [*B, 1] in place and returns the TensorDict.
+
+        Raises:
+            ValueError: for an unknown actor, a missing entry or one of the wrong shape, and for an
+                action that has no probability, such as one that its mask forbids.
+            FloatingPointError: when the factor overflows.
         """
-        view = self._view(tensordict, name)
-        loss = self._loss_of(name)
-        keys = loss.tensor_keys
-        log_ratio = loss.actor_network.get_dist(view).log_prob(view.get(keys.action))
-        log_ratio = log_ratio - view.get(keys.sample_log_prob)
+        log_ratio = actor_log_ratio(self._loss_of(name), self._view(tensordict, name), name)
         ratio = log_ratio.reshape(*tensordict.shape, -1).sum(-1, keepdim=True).exp()
-        factor = tensordict.get(self.tensor_keys.factor, None)
-        return tensordict.set(self.tensor_keys.factor, ratio if factor is None else factor * ratio)
+        factor = self._factor(tensordict)
+        factor = ratio if factor is None else factor * ratio
+        require_finite(factor, f"the factor after actor {name!r}")
+        return tensordict.set(self.tensor_keys.factor, factor)
 
-    # ---------------------------------------------------------- value estimation
-
-    def make_value_estimator(
-        self, value_type: ValueEstimators | None = None, **hyperparams: Any
-    ) -> HAPPOLoss:
-        """Choose GAE's ``gamma``, ``lmbda`` and further options; ``average_gae`` defaults to True.
+    def make_policy(self) -> TeamPolicy:
+        """The actors as one policy for a collector: each acts for its agent of a group.
 
         Raises:
-            NotImplementedError: for another estimator than GAE.
+            ValueError: when the actors with views do not cover their group.
         """
-        if value_type not in (None, ValueEstimators.GAE):
-            raise NotImplementedError(f"HAPPOLoss estimates values with GAE, not {value_type}")
-        options = {"gamma": 0.99, "lmbda": 0.95, "average_gae": True, **hyperparams}
-        # not a submodule: it refers to the critic again, and its settings are not state
-        self.__dict__["_value_estimator"] = GAE(value_network=self._value_network(), **options)
-        self._forward_value_estimator_keys()
-        return self
-
-    @torch.no_grad()
-    def estimate_advantage(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Run GAE over a rollout [*B, T] and update the value statistics, once per batch.
-
-        Writes advantage, value_target and value (also under "next") in place and returns the
-        TensorDict. Truncated episodes bootstrap from the value of their last next observation.
-
-        Raises:
-            ValueError: for padded trajectories, since the losses would include the padding.
-        """
-        if tensordict.get(("collector", "mask"), None) is not None:
-            raise ValueError(
-                "the batch holds ('collector', 'mask'): padded trajectories are not supported, "
-                "collect with split_trajs=False"
-            )
-        if self._value_estimator is None:
-            self.make_value_estimator()
-        self.value_estimator(tensordict)
-        if self.value_norm is not None:
-            self.value_norm.update(tensordict.get(self.tensor_keys.value_target))
-        return tensordict
-
-    def _value_network(self) -> TensorDictModule:
-        """The critic in reward units."""
-        if self.critic is None:
-            raise ValueError("value estimation needs a critic, and HAPPOLoss has critic=None")
-        if self.value_norm is None:
-            return self.critic
-        value = [self.tensor_keys.value]
-        return TensorDictSequential(
-            self.critic, TensorDictModule(self.value_norm.denormalize, value, value)
-        )
-
-    def _forward_value_estimator_keys(self, **_: Any) -> None:
-        if self._value_estimator is not None:
-            keys = self.tensor_keys
-            self._value_estimator.set_keys(
-                advantage=keys.advantage,
-                value_target=keys.value_target,
-                value=keys.value,
-                reward=keys.reward,
-                done=keys.done,
-                terminated=keys.terminated,
-            )
-
-    # -------------------------------------------------------------------- views
+        actors = {name: self._loss_of(name).actor_network for name in self.names}
+        return TeamPolicy(actors, self.views)
 
     def _loss_of(self, name: str) -> Any:
         if name not in self.actor_losses:
             raise ValueError(f"actor {name!r} is unknown: the actors are {self.names}")
         return self.actor_losses[name]
 
-    def _own_keys(self, name: str) -> list[NestedKey]:
-        """Entries that an actor's loss reads, except the advantage."""
-        loss = self._loss_of(name)
-        keys = loss.tensor_keys
-        produced = {keys.action, keys.sample_log_prob}
-        needed = [k for k in loss.actor_network.in_keys if k not in produced]
-        return [*needed, keys.action, keys.sample_log_prob]
+    def _factor(self, tensordict: TensorDictBase) -> Tensor | None:
+        key = self.tensor_keys.factor
+        factor: Tensor | None = tensordict.get(key, None)
+        if factor is not None:
+            require_column(factor, tensordict, key)
+        return factor
 
     def _view(self, tensordict: TensorDictBase, name: str) -> TensorDictBase:
         """The entries of one actor: its slice of a stacked group, or its own group."""
-        keys = self._own_keys(name)
-        if name not in self.views:
-            return tensordict.select(*keys)
-        group, index = self.views[name]
-        axis = tensordict.ndim
-        entries = TensorDict({}, batch_size=tensordict.batch_size, device=tensordict.device)
-        for key in keys:
-            entry: Tensor = tensordict.get(key)
-            entries.set(key, entry.select(axis, index) if _in_group(key, group) else entry)
-        return entries
-
-
-def _in_group(key: NestedKey, group: NestedKey) -> bool:
-    path, prefix = (k if isinstance(k, tuple) else (k,) for k in map(unravel_key, (key, group)))
-    return path[: len(prefix)] == prefix
-
-
-def _check_parts(
-    actors: Mapping[str, Any], critic: nn.Module | None, views: Mapping[str, View]
-) -> None:
-    if not actors:
-        raise ValueError("actors={} is empty: HAPPOLoss needs at least one actor")
-    for name, (group, _) in views.items():
-        if name not in actors:
-            raise ValueError(f"views[{name!r}] belongs to no actor: they are {list(actors)}")
-        keys = actors[name].in_keys
-        if not any(_in_group(key, group) for key in keys):
-            raise ValueError(f"views[{name!r}] is of the group {group!r}, but it reads {keys}")
-    owners: dict[int, str] = {}
-    for name, part in {**actors, "critic": critic}.items():
-        for parameter in part.parameters() if part is not None else ():
-            owner = owners.setdefault(id(parameter), name)
-            if owner != name:
-                raise ValueError(
-                    f"{owner!r} and {name!r} share parameters: an update of one would move the "
-                    "other"
-                )
+        loss = self._loss_of(name)
+        check_batch(tensordict)
+        own = actor_entries(loss, tensordict, self.views.get(name), name)
+        check_rows(own, self._states[name], name)
+        return own

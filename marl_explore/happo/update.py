@@ -30,7 +30,8 @@ def sequential_update(
 
     Args:
         loss: of the team.
-        batch: [M] with the advantage; the factor is written into it.
+        batch: of any shape, with the advantage; the factor is written into it. Recurrent actors
+            need whole rows [B, T] of a rollout, in ``passes`` too.
         passes: returns the minibatches of all epochs, from the batch and the entries that an
             actor's loss reads.
         step: takes the actor's name and its losses, "loss_objective" and "loss_entropy", and

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_not_negative
+from marl_explore.config.fields import check_types
 from marl_explore.core.world import check_starts
 from marl_explore.utils.extras import require_extra
 
@@ -32,6 +33,7 @@ class Noise:
 
     def __post_init__(self) -> None:
         """Check the deviations."""
+        check_types(self)
         units = {"range_share": "of a range", "position": "metres", "heading": "radians"}
         for name, unit in units.items():
             require_not_negative(name, getattr(self, name), unit)

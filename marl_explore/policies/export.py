@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATURES
+from marl_explore.policies.io import require_weights
 from marl_explore.policies.networks import PAPER_INPUTS
 from marl_explore.policies.policy import Policy
-from marl_explore.robot.policy import FORMAT
+from marl_explore.robot.policy import FORMAT, save_arrays
 from marl_explore.utils.extras import require_extra
 from marl_explore.utils.files import atomic_write
 
@@ -81,7 +81,7 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
 
     Raises:
         ValueError: for another ending, a folder that does not exist, actors that read more than
-            FOV, FPR and NET, or a network without a numpy twin.
+            FOV, FPR and NET, weights that are not finite, or a network without a numpy twin.
     """
     path = Path(path)
     if path.suffix != ".npz" or not path.parent.is_dir():
@@ -89,13 +89,14 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
             f"path={str(path)!r} is not allowed: it must end in .npz, in an existing folder"
         )
     told = spec_text(policy)
+    require_weights(policy.actors.state_dict(), "the policy")
     if policy.config.network.exported_as is None:
         name = policy.config.network.name
         raise ValueError(f"{name} actors cannot be exported as .npz: they have no numpy twin")
     weights = policy.actors.state_dict()
     arrays = {name: tensor.float().numpy() for name, tensor in weights.items()}
     with atomic_write(path) as unfinished, unfinished.open("wb") as file:
-        np.savez(file, spec=np.array(told), **arrays)
+        save_arrays(file, told, arrays)
     return path
 
 
@@ -111,12 +112,13 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
 
     Raises:
         ModuleNotFoundError: when onnx or onnxscript is not installed, saying how to install it.
-        ValueError: for actors that read more than FOV, FPR and NET.
+        ValueError: for actors that read more than FOV, FPR and NET, or weights that are not finite.
     """
     require_extra("onnx", "onnxscript")
     import onnx
 
     told = spec_text(policy)
+    require_weights(policy.actors.state_dict(), "the policy")
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

@@ -1,6 +1,6 @@
 """Policy files: safetensors, with metadata that describe how to build the networks.
 
-They hold only weights; nothing in them is executed.
+They hold only weights, and a SHA-256 of their contents; nothing in them is executed.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors import safe_open
-from safetensors.torch import save_file
+import torch
+from torch import Tensor
 
 from marl_explore.policies.migrate import migrated
 from marl_explore.policies.policy import Policy, PolicyConfig
-from marl_explore.utils.files import atomic_write
-from marl_explore.utils.tensor_files import read_tensors
+from marl_explore.utils.json_files import parse_object
+from marl_explore.utils.memory import require_memory
+from marl_explore.utils.tensor_files import read_tensors, write_tensors
 
-FORMAT = "marl_explore.policy/1"
+FORMAT = "marl_explore.policy/2"
+FORMAT_0_1 = "marl_explore.policy/1"
+"""That of version 0.1, without SHA-256."""
 POLICY_FILE = "policy.safetensors"
 BUNDLED = Path(__file__).parent / "pretrained"
 
@@ -33,16 +36,10 @@ def save_policy(policy: Policy, path: str | Path, info: Mapping[str, Any] | None
         info: where the policy comes from (seed, command, scores); kept with the weights.
     """
     path = _file_of(Path(path))
-    metadata = {
-        "format": FORMAT,
-        "spec": json.dumps(policy.config.to_json()),
-        "info": json.dumps(dict(info or {})),
-    }
-    weights = {name: tensor.contiguous() for name, tensor in policy.actors.state_dict().items()}
+    texts = {"spec": json.dumps(policy.config.to_json()), "info": json.dumps(dict(info or {}))}
     if not path.parent.is_dir():
         raise ValueError(f"cannot save a policy to {path}: the folder does not exist")
-    with atomic_write(path) as unfinished:
-        save_file(weights, unfinished, metadata)
+    write_tensors(path, FORMAT, texts, policy.actors.state_dict())
     return path
 
 
@@ -50,24 +47,61 @@ def load_policy(path_or_name: str | Path) -> Policy:
     """The policy in a file or run folder, or a bundled one by name (``list_policies``).
 
     Raises:
-        ValueError: when there is no such policy, or the file is not a policy.
+        ValueError: when there is no such policy, or the file is not a policy, is damaged, or holds
+            weights that are not finite floating-point numbers.
     """
     path = _find(path_or_name)
-    metadata, weights = read_tensors(path, FORMAT, "policy")
+    texts, weights = _read(path)
+    spec = migrated(parse_object(texts["spec"], f"the spec of {path}"))
+    config = PolicyConfig.from_json(spec, f"the spec of {path}")
+    require_memory(f"the policy {path}", config.weights_memory)
+    require_weights(weights, str(path))
+    policy = Policy(config, config.make_actors())
     try:
-        config = PolicyConfig.from_json(migrated(json.loads(metadata["spec"])))
-        policy = Policy(config, config.make_actors())
         policy.actors.load_state_dict(weights)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is not a complete policy: {error!r}") from error
+    except RuntimeError as error:
+        raise ValueError(f"the weights of {path} do not fit its spec: {error}") from error
     return policy.eval()
 
 
 def policy_info(path_or_name: str | Path) -> dict[str, Any]:
-    """The information that was saved with a policy."""
-    with safe_open(_find(path_or_name), framework="pt") as file:
-        info: dict[str, Any] = json.loads((file.metadata() or {}).get("info", "{}"))
-    return info | {"config": migrated(info["config"])} if "config" in info else info
+    """The information that was saved with a policy.
+
+    Raises:
+        ValueError: as for ``load_policy``.
+    """
+    path = _find(path_or_name)
+    info = parse_object(_read(path)[0]["info"], f"the info of {path}")
+    if "config" not in info:
+        return info
+    if not isinstance(info["config"], dict):
+        raise ValueError(f"the info of {path} has a config that is not a JSON object")
+    return info | {"config": migrated(info["config"])}
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    texts, weights = read_tensors(path, (FORMAT, FORMAT_0_1), "policy", unsigned=(FORMAT_0_1,))
+    for name in ("spec", "info"):
+        if name not in texts:
+            raise ValueError(f"{path} is not a complete policy: it has no {name}")
+    return texts, weights
+
+
+def require_weights(weights: Mapping[str, Tensor], where: str) -> None:
+    """Raise an error for weights that are not finite floating-point numbers.
+
+    Args:
+        weights: tensors by name.
+        where: the file or policy that has them.
+
+    Raises:
+        ValueError: naming ``where`` and the tensor.
+    """
+    for name, tensor in weights.items():
+        if not tensor.is_floating_point():
+            raise ValueError(f"{name} of {where} has the type {tensor.dtype}, not floating-point")
+        if not torch.isfinite(tensor).all():
+            raise ValueError(f"{name} of {where} is not finite: it has NaN or infinite weights")
 
 
 def policy_digest(path_or_name: str | Path) -> str:

@@ -26,11 +26,25 @@ OPTIONS = {
 
 
 def migrated(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The JSON settings of a run or a policy of any version, in today's format."""
+    """The JSON settings of a run or a policy of any version, in today's format.
+
+    Raises:
+        ValueError: when they are of version 0.1, and name no network of that version.
+    """
     if "architecture" not in fields:
         return dict(fields)
     old = dict(fields)
-    kind = old["architecture"]
+    kind, hidden = old["architecture"], old.get("hidden")
+    if (
+        not isinstance(kind, str)
+        or kind not in OPTIONS
+        or not isinstance(hidden, list)
+        or not hidden
+    ):
+        raise ValueError(
+            f"architecture={kind!r} with hidden={hidden!r} is not allowed: it must be one of "
+            f"{[*OPTIONS]} with a list of widths"
+        )
     options = {name: old[name] for name in OPTIONS[kind] if name in old}
     if kind == "cnn":  # the last width was the actor's layer, all of them the state critic's
         options = {"hidden": old["hidden"][-1], "state_hidden": old["hidden"]}

@@ -13,11 +13,13 @@ from torch import nn
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import Ability
+from marl_explore.config.fields import check_types
 from marl_explore.core.frontier import Normalization
 from marl_explore.policies.actors import ACTION_MASK, TeamActor
 from marl_explore.policies.networks import Network, NetworkSettings
-from marl_explore.policies.networks.ablation import Ablated
+from marl_explore.policies.networks.ablation import Ablated, require_abilities
 from marl_explore.transforms.features import make_features
+from marl_explore.utils.memory import weights_memory
 
 FOV: NestedKey = ("agents", "observation", "fov")
 
@@ -33,9 +35,24 @@ class PolicyConfig(NetworkSettings):
     shared: bool = False
     """Whether all robots share one actor."""
 
+    def __post_init__(self) -> None:
+        """Raise an error for settings that are not allowed."""
+        check_types(self)
+        require_abilities(self.network, self.ablate)
+
+    @property
+    def num_actors(self) -> int:
+        """Number of networks: one per robot, or one that all share."""
+        return 1 if self.shared else self.arena.num_agents
+
+    @property
+    def weights_memory(self) -> float:
+        """Size of all actors' weights (bytes), found without making them."""
+        return self.num_actors * weights_memory(lambda: self.network.make_actor(self.arena))
+
     def make_actors(self) -> list[nn.Module]:
         """A newly initialised network per robot, or one that all share."""
-        number = 1 if self.shared else self.arena.num_agents
+        number = self.num_actors
         actors = [self.network.make_actor(self.arena) for _ in range(number)]
         return [Ablated(actor, self.ablate) for actor in actors] if self.ablate else actors
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from marl_explore.config.checks import require_not_negative, require_positive
+from marl_explore.config.fields import check_types
 from marl_explore.robot.geometry import wrapped
 from marl_explore.robot.messages import Pose
 
@@ -45,6 +46,7 @@ class Drive:
 
     def __post_init__(self) -> None:
         """Check limits and gains."""
+        check_types(self)
         units = {
             "max_forward": "metres per second",
             "max_turn": "radians per second",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from marl_explore.config.checks import require_integer, require_not_negative, require_positive
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
+from marl_explore.config.fields import check_types
 from marl_explore.robot.geometry import Frame, GridCell
 from marl_explore.robot.messages import Pose, Scan
 
@@ -34,6 +35,7 @@ class BeamModel:
 
     def __post_init__(self) -> None:
         """Check the settings."""
+        check_types(self)
         require_positive("entry_tolerance", self.entry_tolerance, "metres")
         for name in ("margin", "robot_radius"):
             require_not_negative(name, getattr(self, name), "metres")

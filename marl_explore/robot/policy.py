@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-import json
-import zipfile
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,12 @@ from marl_explore.config.constants import (
     NUM_FEATURES,
     Normalization,
 )
+from marl_explore.config.fields import read_fields
 from marl_explore.robot.networks import TWINS, Array
 from marl_explore.robot.observation import Observation
+from marl_explore.utils.json_files import parse_object
 
-FORMAT = "marl_explore.actors/1"
+FORMAT = "marl_explore.actors/2"
 _ALLOWED = {"twin": tuple(TWINS), "fpr": NORMALIZATIONS}
 
 
@@ -127,11 +128,30 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        spec = json.loads(str(arrays.pop("spec")))
+        signed = str(arrays.pop("sha256", None))
+        spec = parse_object(str(arrays["spec"]), "its spec")
         _check_spec(spec)
-    except (OSError, KeyError, TypeError, ValueError, AttributeError, zipfile.BadZipFile) as error:
+        if signed != _digest(arrays):
+            raise ValueError("its contents do not match its SHA-256")
+        del arrays["spec"]
+    except Exception as error:  # zipfile, zlib and numpy raise many kinds for damaged files
         raise ValueError(f"{path} is not an exported policy: {error}") from error
     return spec, arrays
+
+
+def save_arrays(file: BinaryIO, spec: str, weights: Mapping[str, NDArray[Any]]) -> None:
+    """Write an exported policy with its SHA-256, in the format that ``ExportedPolicy`` reads."""
+    arrays = {**weights, "spec": np.array(spec)}
+    np.savez(file, sha256=np.array(_digest(arrays)), **arrays)  # type: ignore[arg-type]
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of the arrays of an exported policy, its spec included."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def _check_spec(spec: Mapping[str, Any]) -> None:
@@ -145,4 +165,6 @@ def _check_spec(spec: Mapping[str, Any]) -> None:
             raise ValueError(f"{name}={spec[name]!r} is not allowed: use one of {allowed}")
     if not set(spec["ablate"]) <= set(ABILITIES):
         raise ValueError(f"ablate={spec['ablate']!r} is not allowed: use some of {ABILITIES}")
-    ArenaConfig(**spec["arena"])
+    if not isinstance(spec.get("shared", False), bool):
+        raise ValueError(f"shared={spec['shared']!r} is not allowed: it must be true or false")
+    read_fields(ArenaConfig, spec["arena"], "its spec, arena")

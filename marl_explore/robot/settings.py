@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from marl_explore.config.checks import require_positive
+from marl_explore.config.fields import check_types
 from marl_explore.robot.driving import Drive
 from marl_explore.robot.mapper import BeamModel
 
@@ -30,6 +31,7 @@ class RobotSettings:
 
     def __post_init__(self) -> None:
         """Check the times."""
+        check_types(self)
         for name in ("max_pose_age", "message_patience", "lock_expiry", "move_expiry"):
             require_positive(name, getattr(self, name), "seconds")
         if not self.max_scan_age > 0:

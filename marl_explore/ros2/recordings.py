@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -92,14 +92,29 @@ def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
     """Topic, time (seconds) and message of everything in a recording, ordered by time.
 
     Raises:
-        ValueError: when it is not a recording.
+        ValueError: naming it, when it is not a recording or cannot be read to its end.
     """
     if not (Path(path) / "metadata.yaml").is_file():
         raise ValueError(f"{path} is not a recording: it has no metadata.yaml")
-    with AnyReader([Path(path)], default_typestore=_TYPES) as reader:
-        for connection, nanoseconds, data in reader.messages():
-            message = reader.deserialize(data, connection.msgtype)
+    with ExitStack() as stack:
+        try:  # rosbags raises whatever its parsers of YAML, MCAP and CDR raise
+            reader = stack.enter_context(AnyReader([Path(path)], default_typestore=_TYPES))
+            found = reader.messages()
+        except Exception as error:
+            raise _unreadable(path, error) from error
+        while True:
+            try:
+                connection, nanoseconds, data = next(found)
+                message = reader.deserialize(data, connection.msgtype)
+            except StopIteration:
+                return
+            except Exception as error:
+                raise _unreadable(path, error) from error
             yield connection.topic, nanoseconds * 1e-9, message
+
+
+def _unreadable(path: str | Path, error: Exception) -> ValueError:
+    return ValueError(f"{path} cannot be read as a recording: {type(error).__name__}: {error}")
 
 
 def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:

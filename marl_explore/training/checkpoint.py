@@ -6,18 +6,17 @@ it that is not a tensor as JSON, and a SHA-256 of all contents, so that any dama
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
-from marl_explore.utils.files import UNFINISHED, atomic_write
-from marl_explore.utils.tensor_files import read_tensors
+from marl_explore.utils.files import UNFINISHED, naming
+from marl_explore.utils.json_files import parse_object
+from marl_explore.utils.tensor_files import read_tensors, write_tensors
 
 FORMAT = "marl_explore.checkpoint/1"
 FOLDER = "checkpoints"
@@ -42,12 +41,11 @@ def write_checkpoint(folder: Path, update: int, state: Mapping[str, Any], keep: 
         keep: how many checkpoints to keep, at least 1.
     """
     path = folder / FOLDER / f"update-{update:08d}.safetensors"
-    path.parent.mkdir(exist_ok=True)
+    with naming(path.parent):
+        path.parent.mkdir(exist_ok=True)
     tensors: dict[str, Tensor] = {}
     structure = json.dumps(_take_tensors(state, tensors))
-    metadata = {"format": FORMAT, "structure": structure, "sha256": _digest(structure, tensors)}
-    with atomic_write(path) as unfinished:
-        save_file(tensors, unfinished, metadata)
+    write_tensors(path, FORMAT, {"structure": structure}, tensors)
     for ending in (UNFINISHED, _ABANDONED):
         for left in path.parent.glob(f"{_PATTERN}{ending}"):
             left.unlink()
@@ -72,20 +70,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         CheckpointError: when the file is not a checkpoint, or is truncated or damaged.
     """
-    metadata, tensors = read_tensors(path, FORMAT, "checkpoint", CheckpointError)
-    structure = metadata.get("structure", "")
-    if _digest(structure, tensors) != metadata.get("sha256"):
-        raise CheckpointError(f"{path} is damaged: its contents do not match its SHA-256")
-    return _put_tensors(json.loads(structure), tensors)
-
-
-def _digest(structure: str, tensors: Mapping[str, Tensor]) -> str:
-    digest = hashlib.sha256(structure.encode())
-    for name in sorted(tensors):
-        tensor = tensors[name]
-        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
-    return digest.hexdigest()
+    texts, tensors = read_tensors(path, (FORMAT,), "checkpoint", error=CheckpointError)
+    state = _put_tensors(parse_object(texts.get("structure", ""), f"{path}"), tensors)
+    return cast(dict[str, Any], state)
 
 
 def _take_tensors(value: Any, tensors: dict[str, Tensor], path: str = "") -> Any:

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
-from importlib.util import find_spec
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
@@ -25,8 +24,9 @@ from marl_explore.config.run import RunConfig
 from marl_explore.core.hashing import stream_seed
 from marl_explore.envs.workers import CreateEnv, require_even_shares, split_arenas
 from marl_explore.policies.actors import TeamActor
-from marl_explore.training.workers import AsyncWorkers, SyncWorkers, WorkerError, report
-from marl_explore.utils.interrupts import detach
+from marl_explore.training.clusters import connect, require_cluster
+from marl_explore.training.workers import AsyncWorkers, SyncWorkers, report
+from marl_explore.utils.interrupts import detach, end_with_parent
 
 
 class ResumableCollector(Collector):
@@ -174,17 +174,9 @@ def _ray_collector(
     options: dict[str, Any],
 ) -> BaseCollector:
     """Actors of a Ray cluster, one CPU each; the cluster outlives the collector."""
-    import ray
     from torchrl.collectors.distributed import RayCollector
 
-    if not ray.is_initialized():
-        cluster: dict[str, Any] = {"num_cpus": run.workers, "include_dashboard": False}
-        if run.ray_address is not None:
-            cluster = {"address": run.ray_address}
-        ray.init(log_to_driver=False, **cluster)
-    cpus = ray.cluster_resources().get("CPU", 0)
-    if cpus < run.workers:
-        raise WorkerError(f"Ray has {cpus:g} CPUs, too few for workers={run.workers}")
+    connect(run)
     own = ("trust_policy", "auto_register_policy_transforms")
     # it does not see the weights that restarts.RestartingCollector sends
     warnings.filterwarnings("ignore", "RayCollector iteration started before weight sync")
@@ -209,16 +201,18 @@ def require_collector(run: RunConfig, num_envs: int) -> None:
     """Raise an error for a collector that cannot be made.
 
     Raises:
-        ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
+        ValueError: when the arenas cannot be shared evenly, Ray is not installed, or nothing
+            answers at its cluster's address.
     """
     require_even_shares(run.workers, num_envs)
-    if run.collector == "ray" and find_spec("ray") is None:
-        raise ValueError("collector='ray' needs the package ray: pip install ray")
+    if run.collector == "ray":
+        require_cluster(run)
 
 
 def _worker_env(create_part: Callable[[], EnvBase], seed: int) -> EnvBase:
     """Called in a worker: its arenas; seeds its own random actions."""
     detach()
+    end_with_parent()
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     return create_part()

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.config.checks import require, require_coverage, require_integer
+from marl_explore.config.checks import (
+    require,
+    require_coverage,
+    require_integer,
+    require_not_negative,
+    require_positive,
+    require_share,
+)
 from marl_explore.config.constants import Ability
+from marl_explore.config.fields import check_types
 from marl_explore.policies.networks import MLP, CriticInput, Network, NetworkSettings
 from marl_explore.policies.networks.ablation import require_abilities
 
 Algorithm = Literal["happo", "mappo", "ippo"]
 Precision = Literal["float32", "bfloat16"]
-_CHOICES = {
-    "algorithm": get_args(Algorithm),
-    "critic_input": get_args(CriticInput),
-    "precision": get_args(Precision),
-    "fpr": ("relative", "proximity", "absolute"),
-}
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class TrainConfig(NetworkSettings):
 
     def __post_init__(self) -> None:
         """Raise an error for settings that are not allowed."""
+        check_types(self)
         self._require_ranges()
         self._require_networks()
         self._require_batch()
@@ -95,18 +98,16 @@ class TrainConfig(NetworkSettings):
         for name in ("episodes", "episode_steps", "num_envs", "rollout_steps", "ppo_epochs"):
             require_integer(name, getattr(self, name), 1)
         require_integer("seed", self.seed, 0)
-        for name, allowed in _CHOICES.items():
-            require(getattr(self, name) in allowed, name, getattr(self, name), f"use {allowed}")
-        for name in ("clip_epsilon", "actor_lr", "critic_lr", "adam_eps", "max_grad_norm"):
-            require(getattr(self, name) > 0, name, getattr(self, name), "it must be positive")
         require(
-            self.entropy_coeff >= 0, "entropy_coeff", self.entropy_coeff, "it must be at least 0"
+            0 < self.clip_epsilon < 1, "clip_epsilon", self.clip_epsilon, "it must lie in (0, 1)"
         )
+        for name in ("actor_lr", "critic_lr", "adam_eps"):
+            require_positive(name, getattr(self, name))
+        require(self.max_grad_norm > 0, "max_grad_norm", self.max_grad_norm, "it must be positive")
+        require_not_negative("entropy_coeff", self.entropy_coeff)
         require_coverage("terminate_at_coverage", self.terminate_at_coverage)
         for name in ("gamma", "lmbda"):
-            require(
-                0 <= getattr(self, name) <= 1, name, getattr(self, name), "it must lie in [0, 1]"
-            )
+            require_share(name, getattr(self, name))
 
     def _require_networks(self) -> None:
         """Check that the chosen actors and critic can read their inputs."""
@@ -127,8 +128,7 @@ class TrainConfig(NetworkSettings):
     def _require_batch(self) -> None:
         """Check that a batch can be normalised and split, and that the run has at least one."""
         require(
-            isinstance(self.num_minibatches, int)
-            and 1 <= self.num_minibatches <= self.batch_frames,
+            1 <= self.num_minibatches <= self.batch_frames,
             "num_minibatches",
             self.num_minibatches,
             f"it must be an integer from 1 to num_envs x rollout_steps = {self.batch_frames}",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
+from errno import ENOENT
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,8 @@ from torchrl.record.loggers import Logger, MLFlowLogger
 from torchrl.record.loggers.utils import get_logger
 
 from marl_explore.config.run import LoggerName
-from marl_explore.utils.files import write_text
+from marl_explore.utils.curves import rewind
+from marl_explore.utils.files import naming
 
 PACKAGES: dict[str, tuple[str, ...]] = {
     "tensorboard": ("tensorboard",),
@@ -49,19 +52,30 @@ class Loggers:
     def __init__(
         self, name: LoggerName, folder: Path, settings: Mapping[str, Any], frames: int
     ) -> None:
-        for file in (folder / "scalars").glob("*.csv"):
-            _rewind(file, frames)
-        self._loggers = [_open("csv", folder)]
+        self._scalars = folder / "scalars"
+        for file in self._scalars.glob("*.csv"):
+            rewind(file, frames)
+        with naming(self._scalars):
+            self._loggers = [_open("csv", folder)]
+        with suppress(OSError):  # TorchRL makes it; it stays when an earlier run filled it
+            (folder / "videos").rmdir()
         if name != "csv":
             self._loggers.append(_open(name, folder))
         for logger in self._loggers:
             logger.log_hparams(_flat(settings))
 
     def log(self, metrics: Mapping[str, float], frames: int) -> None:
-        """Write the metrics of an update."""
+        """Write the metrics of an update.
+
+        Raises:
+            OSError: naming the file, when one cannot be written.
+        """
+        if not self._scalars.is_dir():  # TorchRL would make it again, without the earlier rows
+            raise FileNotFoundError(ENOENT, "the folder was removed", str(self._scalars))
         for logger in self._loggers:
             for name, value in metrics.items():
-                logger.log_scalar(name, value, frames)
+                with naming(self._scalars / f"{name}.csv"):
+                    logger.log_scalar(name, value, frames)
         # TorchRL's CSV logger keeps everything in memory, which adds up in long runs
         self._loggers[0].experiment.scalars.clear()
 
@@ -72,13 +86,6 @@ def _open(name: str, folder: Path) -> Logger:
         return MLFlowLogger(folder.name, os.environ.get("MLFLOW_TRACKING_URI", default))
     place = folder if name == "wandb" else folder.parent  # the others add the run's name
     return get_logger(name, str(place), folder.name, wandb_kwargs={"project": PROJECT})
-
-
-def _rewind(file: Path, frames: int) -> None:
-    rows = file.read_text().splitlines(keepends=True)
-    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= frames]
-    if len(kept) < len(rows):
-        write_text(file, "".join(kept))
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from marl_explore.training.checkpoint import list_checkpoints, write_checkpoint
 from marl_explore.training.loggers import Loggers
 from marl_explore.training.nan_guard import NonFiniteError
+from marl_explore.training.progress import Progress, Report
 from marl_explore.training.trainer import Trainer
 from marl_explore.training.validation import Validation
 from marl_explore.training.workers import WorkerError
@@ -21,8 +17,13 @@ from marl_explore.utils.interrupts import Request, RunInterruptedError, deferred
 from marl_explore.utils.versions import versions
 
 
-def run_training(trainer: Trainer, validation: Validation, progress: bool) -> None:
+def run_training(trainer: Trainer, validation: Validation, progress: bool | Report) -> None:
     """The rest of a run: updates, validations, logs and checkpoints.
+
+    Args:
+        trainer: from where it is.
+        validation: has the folder and the execution settings.
+        progress: whether to show a progress bar, or what to report to.
 
     Raises:
         RunInterruptedError: after a SIGINT or SIGTERM, once update and checkpoint are done.
@@ -32,9 +33,10 @@ def run_training(trainer: Trainer, validation: Validation, progress: bool) -> No
     folder, run = validation.folder, validation.run
     settings = trainer.config.to_json() | {"execution": asdict(run)}
     loggers = Loggers(run.logger, folder, settings, trainer.frames)
-    with deferred() as request, _progress_bar(trainer, progress) as bar:
+    steps = trainer.config.updates * trainer.config.batch_frames
+    with deferred() as request, closing(Progress(progress, trainer.frames, steps)) as shown:
         try:
-            _loop(trainer, validation, loggers, request, bar)
+            _loop(trainer, validation, loggers, request, shown)
         except NonFiniteError as error:
             kept = list_checkpoints(folder)
             last = f"the last good checkpoint is {kept[-1]}" if kept else "there is no checkpoint"
@@ -45,18 +47,15 @@ def run_training(trainer: Trainer, validation: Validation, progress: bool) -> No
 
 
 def _loop(
-    trainer: Trainer, validation: Validation, loggers: Loggers, request: Request, bar: tqdm[Any]
+    trainer: Trainer, validation: Validation, loggers: Loggers, request: Request, shown: Progress
 ) -> None:
     last, every = trainer.config.updates, validation.run.checkpoint_every
-    latest: dict[str, str] = {}
     with closing(trainer.run()) as updates:
         for metrics in updates:
             if validation.due(trainer.updates, last):
                 metrics |= validation(trainer.policy, trainer.updates)
             loggers.log(metrics, trainer.frames)
-            latest.update(_headline(metrics))
-            bar.set_postfix(latest, refresh=False)
-            bar.update(trainer.config.batch_frames)
+            shown.update(metrics, trainer.config.batch_frames)
             stop = request.signal if trainer.updates < last else None
             if stop or trainer.updates == last or (every and trainer.updates % every == 0):
                 _save(trainer, validation)
@@ -81,25 +80,3 @@ def _how_to_resume(trainer: Trainer, folder: Path) -> str:
         f"update {trainer.updates} of {trainer.config.updates} is saved; resume with: "
         f"marl-explore resume {folder}"
     )
-
-
-def _progress_bar(trainer: Trainer, progress: bool) -> tqdm[Any]:
-    return tqdm(
-        total=trainer.config.updates * trainer.config.batch_frames,
-        initial=trainer.frames,
-        unit=" steps",
-        disable=not progress,
-        mininterval=0.2 if sys.stderr.isatty() else 15,  # few lines in a log file
-    )
-
-
-def _headline(metrics: Mapping[str, float]) -> dict[str, str]:
-    """The numbers in the progress bar, if the update has them."""
-    columns = {
-        "return": ("episode_return", "{:.1f}"),
-        "coverage": ("final_coverage", "{:.1%}"),
-        "communicate": ("communication_share", "{:.0%}"),
-    }
-    return {
-        title: form.format(metrics[key]) for title, (key, form) in columns.items() if key in metrics
-    }

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from marl_explore.config.checks import require
 from marl_explore.evaluation import metrics
 from marl_explore.evaluation.episodes import record
 from marl_explore.policies.io import BUNDLED, load_policy, policy_info, save_policy
 from marl_explore.policies.policy import Policy
-from marl_explore.training.runs import CONFIG_FILE, RECORD_FILE, read_settings
+from marl_explore.training.run_folder import is_finished, read_config, read_record
+from marl_explore.utils.curves import read_curve
 
 REPLAY_ARENAS = 20
 """Test arenas on which a bundled policy must reproduce its recorded score."""
@@ -54,13 +56,12 @@ def run_info(run: str | Path) -> dict[str, Any]:
         ValueError: when the folder is not a run, or the run is not finished.
     """
     run = Path(run)
-    read_settings(run)  # raises an error for anything else
-    how = json.loads((run / RECORD_FILE).read_text())
-    if not how.get("finished"):
+    config, how = read_config(run), read_record(run)
+    if not is_finished(run):
         raise ValueError(f"the run in {run} is not finished: resume it first")
     return {
-        "config": json.loads((run / CONFIG_FILE).read_text()),
-        "run": how,
+        "config": config.to_json(),
+        "run": how.to_json(),
         "curves": {curve: _curve(run / "scalars" / f"{curve}.csv") for curve in CURVES},
     }
 
@@ -84,8 +85,9 @@ def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
         folder: where it is written; created if it does not exist.
 
     Raises:
-        ValueError: when the folder is not a run, or the run is not finished.
+        ValueError: when the folder is not a run, the run is not finished, or the name is not one.
     """
+    require_name(name)
     info = run_info(run)
     policy = load_policy(run)
     policy.half().float()  # the weights that are read from the file
@@ -95,6 +97,16 @@ def bundle(run: str | Path, name: str, folder: str | Path = BUNDLED) -> Path:
     return save_policy(policy.half(), Path(folder) / f"{name}.safetensors", info)
 
 
+def require_name(name: str) -> None:
+    """Raise an error for a name that cannot be a bundled policy's, such as one with a folder.
+
+    Raises:
+        ValueError: naming it.
+    """
+    allowed = "use letters, digits, and . _ - after the first"
+    require(re.fullmatch(r"[A-Za-z0-9][\w.-]*", name) is not None, "name", name, allowed)
+
+
 def recorded_replay(name: str) -> dict[str, Any]:
     """The ``replay_score`` that a bundled policy was shipped with."""
     return policy_info(name)["replay"]
@@ -102,5 +114,5 @@ def recorded_replay(name: str) -> dict[str, Any]:
 
 def _curve(path: Path) -> list[list[float]]:
     """(frames, value) of a training curve, averaged over sections of it."""
-    rows = np.loadtxt(path, delimiter=",", ndmin=2)
+    rows = read_curve(path)
     return [part.mean(0).tolist() for part in np.array_split(rows, min(_POINTS, len(rows)))]

@@ -1,11 +1,11 @@
-"""Run folders: the settings, record, curves, checkpoints and policies of a training run."""
+"""Training runs in folders: started, resumed and finished."""
 
 from __future__ import annotations
 
 import json
 import logging
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +25,13 @@ from marl_explore.training.checkpoint import (
 from marl_explore.training.config import TrainConfig
 from marl_explore.training.loggers import require_logger
 from marl_explore.training.loop import run_training
+from marl_explore.training.progress import Report
+from marl_explore.training.run_folder import is_finished, prepare, read_config, read_record
 from marl_explore.training.trainer import Trainer
 from marl_explore.training.validation import Validation
-from marl_explore.utils.records import new_folder, provenance, write_json
+from marl_explore.utils.locks import owned
+from marl_explore.utils.records import provenance
 from marl_explore.utils.versions import versions
-
-CONFIG_FILE, RECORD_FILE = "config.json", "run.json"
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +40,7 @@ def train(
     config: TrainConfig,
     folder: str | Path,
     run: RunConfig | None = None,
-    progress: bool = True,
+    progress: bool | Report = True,
 ) -> Policy:
     """Train a policy and keep everything about the run in a new folder.
 
@@ -51,10 +52,11 @@ def train(
         config: the run.
         folder: must not exist, or be empty.
         run: execution settings.
-        progress: whether to show a progress bar.
+        progress: whether to show a progress bar, or what to report to.
 
     Raises:
         ValueError: before anything is written, when the folder is in use.
+        OSError: naming the file, when one cannot be written.
         RunInterruptedError: after a SIGINT or SIGTERM, once update and checkpoint are done.
         NonFiniteError, WorkerError: when the run cannot continue; checkpoints are kept.
     """
@@ -62,7 +64,8 @@ def train(
     config = replace(config, arenas=full_name(config.arenas))
     trainer = make_trainer(config, run)  # rejects wrong settings before a folder is made
     folder = prepare(config, folder, run)
-    return _carry_out(trainer, Validation(config, run, folder), progress)
+    with owned(folder):
+        return _carry_out(trainer, Validation(config, run, folder), progress)
 
 
 def make_trainer(config: TrainConfig, run: RunConfig, fresh: bool = True) -> Trainer:
@@ -81,20 +84,12 @@ def make_trainer(config: TrainConfig, run: RunConfig, fresh: bool = True) -> Tra
     return Trainer(config, run, fresh)
 
 
-def prepare(config: TrainConfig, folder: str | Path, run: RunConfig) -> Path:
-    """Make a run folder without checkpoints, which ``resume`` starts from the beginning.
-
-    Raises:
-        ValueError: when the folder is in use.
-    """
-    config = replace(config, arenas=full_name(config.arenas))
-    folder = new_folder(folder)
-    write_json(folder / CONFIG_FILE, config.to_json())
-    write_json(folder / RECORD_FILE, {"execution": asdict(run), "starts": []})
-    return folder
-
-
-def resume(folder: str | Path, from_previous: bool = False, progress: bool = True) -> Policy:
+def resume(
+    folder: str | Path,
+    from_previous: bool = False,
+    progress: bool | Report = True,
+    patience: float = 0.0,
+) -> Policy:
     """Resume a run from its last checkpoint, or from the start when there is none.
 
     In one process the result is bit-identical to that of a run that never stopped. With other
@@ -104,15 +99,23 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
         folder: of a run that is not finished.
         from_previous: whether to resume from the checkpoint before the last one; the last one is
             ignored from then on.
-        progress: whether to show a progress bar.
+        progress: whether to show a progress bar, or what to report to.
+        patience: how long to wait while another process owns the run (seconds).
 
     Raises:
-        ValueError: when the folder is not a run, the run is finished, or its checkpoint cannot be
-            used (a ``CheckpointError``).
+        ValueError: when the folder is not a run, the run is finished, another process owns it (a
+            ``FolderInUseError``), or its checkpoint cannot be used (a ``CheckpointError``).
+        OSError: naming the file, when one cannot be written.
         RunInterruptedError, NonFiniteError, WorkerError: as for ``train``.
     """
     folder = Path(folder)
-    config, run = read_settings(folder)
+    read_config(folder)  # refuses what is not a run before it is locked
+    with owned(folder, patience):
+        return _resume(folder, from_previous, progress)
+
+
+def _resume(folder: Path, from_previous: bool, progress: bool | Report) -> Policy:
+    config, run = read_config(folder), read_record(folder).execution
     if is_finished(folder):
         raise ValueError(f"the run in {folder} is finished: there is nothing to resume")
     path = _checkpoint_to_resume(folder, from_previous)
@@ -130,27 +133,6 @@ def resume(folder: str | Path, from_previous: bool = False, progress: bool = Tru
         if from_previous:
             set_aside(list_checkpoints(folder)[-1])
     return _carry_out(trainer, validation, progress)
-
-
-def read_settings(folder: Path) -> tuple[TrainConfig, RunConfig]:
-    """The settings of a run folder.
-
-    Raises:
-        ValueError: when it is not a run folder, or of another version of this package.
-    """
-    try:
-        fields = migrated(json.loads((folder / CONFIG_FILE).read_text()))
-        record = json.loads((folder / RECORD_FILE).read_text())
-        return TrainConfig.from_json(fields), RunConfig(**record["execution"])
-    except OSError as error:
-        raise ValueError(f"{folder} is not a run folder: {error}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{folder} is not a run folder of this version: {error!r}") from error
-
-
-def is_finished(folder: Path) -> bool:
-    """Whether the run in a folder has done all its updates."""
-    return bool(json.loads((folder / RECORD_FILE).read_text()).get("finished"))
 
 
 def _checkpoint_to_resume(folder: Path, from_previous: bool) -> Path | None:
@@ -179,6 +161,8 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _require_same(saved: Mapping[str, Any], config: TrainConfig, path: Path) -> None:
     saved, now = migrated(saved), json.loads(json.dumps(config.to_json()))
+    if saved.get("episodes", 0) < now["episodes"]:  # the run was made longer
+        saved["episodes"] = now["episodes"]
     different = [key for key in now if saved.get(key) != now[key]]
     if different:
         raise CheckpointError(
@@ -198,15 +182,16 @@ def _compare_versions(saved: Mapping[str, str], path: Path) -> None:
         )
 
 
-def _carry_out(trainer: Trainer, validation: Validation, progress: bool) -> Policy:
+def _carry_out(trainer: Trainer, validation: Validation, progress: bool | Report) -> Policy:
     """Do the rest of a run, from where the trainer is, and keep its record."""
     folder = validation.folder
-    record = json.loads((folder / RECORD_FILE).read_text())
-    record["starts"].append(provenance() | {"updates": trainer.updates})
-    write_json(folder / RECORD_FILE, record)
+    record = read_record(folder)
+    start = provenance() | {"updates": trainer.updates}
+    record = replace(record, starts=(*record.starts, start), finished=False)
+    record.write(folder)
     run_training(trainer, validation, progress)
-    record |= {"seconds": round(trainer.seconds, 1), "frames": trainer.frames}
-    info = {"config": trainer.config.to_json(), **record["starts"][-1], **record}
+    record = replace(record, seconds=round(trainer.seconds, 1), frames=trainer.frames)
+    info = {"config": trainer.config.to_json(), **start, **record.to_json()}
     save_policy(trainer.policy, folder, info=info)
-    write_json(folder / RECORD_FILE, record | {"finished": True})
+    replace(record, finished=True).write(folder)
     return trainer.policy.eval()

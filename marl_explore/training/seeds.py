@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import json
 import math
 import os
 import sys
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from multiprocessing import get_context
-from multiprocessing.connection import wait
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from marl_explore.config.checks import require_integer
-from marl_explore.config.run import RunConfig
+from marl_explore.config.checks import require, require_integer
+from marl_explore.config.fields import check_types, read_fields
+from marl_explore.config.run import MAX_SEEDS, RunConfig
 from marl_explore.evaluation.stats import seed_mean
 from marl_explore.training import runs
 from marl_explore.training.config import TrainConfig
+from marl_explore.training.progress import Bars, reporter
+from marl_explore.training.run_folder import is_finished, lengthen, prepare, read_record
 from marl_explore.utils import records, tables
-from marl_explore.utils.interrupts import RunInterruptedError, deferred, detach
+from marl_explore.utils.curves import read_curve
+from marl_explore.utils.interrupts import (
+    RunInterruptedError,
+    deferred,
+    detach,
+    end_with_parent,
+)
+from marl_explore.utils.json_files import read_json
+from marl_explore.utils.locks import owned
 
 RECORD_FILE, SUMMARY_FILE = "sweep.json", "summary.json"
 LAST_SHARE = 0.1
@@ -39,6 +50,34 @@ MAIN_METRICS = (
 """Metrics in the printed table; the file holds every metric."""
 
 Summary = dict[str, dict[str, float | None]]
+
+PATIENCE = 120.0
+"""How long a run waits for the process of a killed sweep, which ends after its update (seconds)."""
+
+
+@dataclass(frozen=True)
+class SweepRecord:
+    """How a sweep was made: the content of ``sweep.json``."""
+
+    seeds: tuple[int, ...]
+    jobs: int | None = None
+    """Runs side by side; None: as many as the cores allow."""
+    starts: tuple[dict[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise an error for fields that are not allowed."""
+        check_types(self)
+        for seed in self.seeds:
+            require_integer("seeds", seed, 0)
+        allowed = f"use 1 to {MAX_SEEDS} seeds, each only once"
+        unique = len(set(self.seeds)) == len(self.seeds)
+        require(unique and 0 < len(self.seeds) <= MAX_SEEDS, "seeds", self.seeds, allowed)
+        if self.jobs is not None:
+            require_integer("jobs", self.jobs, 1)
+
+    def write(self, folder: Path) -> None:
+        """Write the file of a sweep's folder."""
+        records.write_json(folder / RECORD_FILE, asdict(self))
 
 
 def sweep(
@@ -67,17 +106,13 @@ def sweep(
         ChildProcessError: when a run failed; it names the seeds and their logs.
     """
     run = run or RunConfig()
-    if not seeds or len(set(seeds)) < len(seeds):
-        raise ValueError(f"seeds={list(seeds)} is not allowed: use at least one, each only once")
-    if jobs is not None:
-        require_integer("jobs", jobs, 1)
+    record = SweepRecord(tuple(seeds), jobs)
     runs.make_trainer(config, run)  # rejects wrong settings before a folder is made
     folder = records.new_folder(folder)
     for seed in seeds:
-        runs.prepare(replace(config, seed=seed), folder / _name(seed), run)
+        prepare(replace(config, seed=seed), folder / _name(seed), run)
     # written last: a folder with this file can be resumed
-    record = {"seeds": list(seeds), "jobs": jobs, "starts": []}
-    records.write_json(folder / RECORD_FILE, record)
+    record.write(folder)
     return resume_sweep(folder)
 
 
@@ -99,7 +134,7 @@ def _seed_runs(path_or_name: str | Path) -> list[str]:
     if not is_sweep(path_or_name):
         return [str(path_or_name)]
     folder = Path(path_or_name)
-    seeds = json.loads((folder / RECORD_FILE).read_text())["seeds"]
+    seeds = read_sweep(folder).seeds
     waiting = _unfinished(folder, seeds)
     if waiting:
         raise ValueError(
@@ -108,16 +143,41 @@ def _seed_runs(path_or_name: str | Path) -> list[str]:
     return [str(folder / _name(seed)) for seed in seeds]
 
 
-def resume_sweep(folder: str | Path) -> Summary:
-    """Resume every unfinished run of a sweep; otherwise as ``sweep``."""
+def read_sweep(folder: Path) -> SweepRecord:
+    """The record of a sweep.
+
+    Raises:
+        ValueError: naming file and field, when a field is wrong.
+    """
+    path = folder / RECORD_FILE
+    return read_fields(SweepRecord, read_json(path), str(path))
+
+
+def resume_sweep(folder: str | Path, episodes: int | None = None) -> Summary:
+    """Resume every unfinished run of a sweep; otherwise as ``sweep``.
+
+    Args:
+        folder: of the sweep.
+        episodes: new length of every run, as for ``lengthen``.
+
+    Raises:
+        ValueError: also when another process owns the sweep.
+    """
     folder = Path(folder)
-    record = json.loads((folder / RECORD_FILE).read_text())
-    record["starts"].append(records.provenance())
-    records.write_json(folder / RECORD_FILE, record)
-    seeds = record["seeds"]
+    record = read_sweep(folder)
+    with owned(folder):
+        if episodes is not None:
+            for seed in record.seeds:
+                lengthen(folder / _name(seed), episodes)
+        return _resume(folder, record)
+
+
+def _resume(folder: Path, record: SweepRecord) -> Summary:
+    replace(record, starts=(*record.starts, records.provenance())).write(folder)
+    seeds = record.seeds
     waiting = _unfinished(folder, seeds)
-    _, run = runs.read_settings(folder / _name(seeds[0]))
-    failed = _run_all(folder, waiting, record["jobs"] or _jobs(run))
+    run = read_record(folder / _name(seeds[0])).execution
+    failed = _run_all(folder, waiting, record.jobs or _jobs(run))
     if failed:
         logs = ", ".join(str(folder / f"{_name(seed)}.log") for seed in failed)
         raise ChildProcessError(f"seeds {failed} failed, see {logs}; {_how(folder)}")
@@ -135,9 +195,9 @@ def summarize_seeds(folder: Path, seeds: Sequence[int]) -> Summary:
     values: dict[str, list[float]] = {}
     for seed in seeds:
         for file in sorted((folder / _name(seed) / "scalars").glob("*.csv")):
-            read = (float(value) for _, value in csv.reader(file.read_text().splitlines()))
-            rows = [value for value in read if math.isfinite(value)]  # NaN: nothing was measured
-            if rows:
+            values_read = read_curve(file)[:, 1]
+            rows = values_read[np.isfinite(values_read)]  # NaN: nothing was measured
+            if len(rows):
                 last = rows[-max(1, round(LAST_SHARE * len(rows))) :]
                 values.setdefault(file.stem, []).append(float(np.mean(last)))
     summary: Summary = {}
@@ -161,28 +221,32 @@ def format_summary(summary: Mapping[str, Mapping[str, float | None]]) -> str:
 def _run_all(folder: Path, seeds: Sequence[int], jobs: int) -> list[int]:
     """Run the seeds side by side; returns those that failed."""
     waiting, failed = list(seeds), []
-    running: dict[int, BaseProcess] = {}
-    with deferred() as request:
+    running: dict[int, tuple[BaseProcess, Connection]] = {}
+    with deferred() as request, closing(Bars()) as bars:
         while running or waiting:
             while waiting and len(running) < jobs:
                 seed = waiting.pop(0)
                 running[seed] = _start(folder / _name(seed))
-            wait([process.sentinel for process in running.values()], timeout=0.2)
+            wait([process.sentinel for process, _ in running.values()], timeout=0.2)
             if request.signal is not None:
-                _stop(running.values())
+                _stop([process for process, _ in running.values()])
                 raise RunInterruptedError(request.signal, _how(folder))
-            for seed, process in [*running.items()]:
+            for seed, (process, reports) in [*running.items()]:
+                bars.draw(seed, reports)
                 if process.exitcode is not None:
                     del running[seed]
-                    print(f"seed {seed}: {'failed' if process.exitcode else 'done'}", flush=True)
+                    bars.end(seed, "failed" if process.exitcode else "done")
                     failed += [seed] if process.exitcode else []
     return sorted(failed)
 
 
-def _start(folder: Path) -> BaseProcess:
-    process = get_context("spawn").Process(target=_run_one, args=(folder,))
+def _start(folder: Path) -> tuple[BaseProcess, Connection]:
+    """A process that resumes a run, and the pipe through which it reports."""
+    reader, writer = Pipe(duplex=False)
+    process = get_context("spawn").Process(target=_run_one, args=(folder, writer))
     process.start()
-    return process
+    writer.close()
+    return process, reader
 
 
 def _stop(processes: Iterable[BaseProcess]) -> None:
@@ -193,26 +257,30 @@ def _stop(processes: Iterable[BaseProcess]) -> None:
         process.join()
 
 
-def _run_one(folder: Path) -> None:
+def _run_one(folder: Path, reports: Connection) -> None:
     """One run in a process of its own; its output goes to a log next to its folder."""
     detach()
+    end_with_parent()
     with (
         folder.with_name(f"{folder.name}.log").open("a") as log,
         contextlib.redirect_stdout(log),
         contextlib.redirect_stderr(log),
     ):
         try:
-            runs.resume(folder)
+            runs.resume(folder, progress=reporter(reports), patience=PATIENCE)
         except RunInterruptedError as interrupted:
             print(interrupted)
             sys.exit(interrupted.status)
+        except (ValueError, OSError, FloatingPointError) as error:
+            print(f"error: {error}")
+            sys.exit(1)
         except Exception:
             traceback.print_exc()
             sys.exit(1)
 
 
 def _unfinished(folder: Path, seeds: Sequence[int]) -> list[int]:
-    return [seed for seed in seeds if not runs.is_finished(folder / _name(seed))]
+    return [seed for seed in seeds if not is_finished(folder / _name(seed))]
 
 
 def _how(folder: Path) -> str:

@@ -9,39 +9,19 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, RewardSum
 
 from marl_explore.config.run import RunConfig
-from marl_explore.envs.factory import make_env
 from marl_explore.happo.diagnostics import FactorWatch
 from marl_explore.policies.io import load_policy
-from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.policies.policy import Policy
 from marl_explore.training.collectors import make_collector, require_collector
 from marl_explore.training.config import TrainConfig
+from marl_explore.training.environment import make_training_env
 from marl_explore.training.learners import make_learners
+from marl_explore.training.memory import policy_config, require_training_memory
 from marl_explore.training.nan_guard import require_finite_batch
 from marl_explore.training.restarts import RestartingCollector
 from marl_explore.training.rollout_metrics import rollout_metrics
-
-
-def make_training_env(
-    config: TrainConfig, num_envs: int | None = None, first_arena: int = 0
-) -> EnvBase:
-    """The environment of a training run, or a part of its arenas, with episode returns."""
-    env = make_env(
-        config.arena,
-        num_envs=num_envs or config.num_envs,
-        reward=config.reward,
-        max_steps=config.episode_steps,
-        terminate_at_coverage=config.terminate_at_coverage,
-        arenas=config.arenas,
-        seed=config.seed,
-        first_arena=first_arena,
-        fpr=config.fpr,
-        features=config.network.features,
-    )
-    env.append_transform(RewardSum())
-    return env
 
 
 class Trainer:
@@ -63,16 +43,10 @@ class Trainer:
     ) -> None:
         run = run or RunConfig()
         require_collector(run, config.num_envs)
-        make_training_env(config, num_envs=1).reset()  # fails here, not in a worker
+        require_training_memory(config)
         torch.manual_seed(config.seed)
         self.config = config
-        built = PolicyConfig(
-            config.arena,
-            config.network,
-            config.fpr,
-            config.ablate,
-            shared=config.algorithm == "mappo",
-        )
+        built = policy_config(config)
         self.policy = Policy(built, built.make_actors())
         if fresh and config.init_from is not None:
             self.policy.init_from(load_policy(config.init_from))

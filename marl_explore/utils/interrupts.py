@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import threading
@@ -57,6 +58,19 @@ def deferred() -> Iterator[Request]:
         yield request
     finally:
         restore()
+
+
+def end_with_parent() -> None:
+    """Send this process a SIGTERM as soon as the process that started it is gone, even killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()
 
 
 def detach() -> None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import shlex
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from marl_explore.utils.files import write_text
+from marl_explore.utils.json_files import write_json
 from marl_explore.utils.versions import versions
+
+__all__ = ["new_folder", "provenance", "require_new", "write_json"]
 
 
 def new_folder(path: str | Path) -> Path:
@@ -32,15 +32,12 @@ def require_new(path: str | Path) -> Path:
     Raises:
         ValueError: naming it.
     """
+    if str(path) == "":
+        raise ValueError("output folder '' is not allowed: name a folder")
     path = Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"output folder {str(path)!r} exists and is not empty: choose another")
     return path
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON file atomically."""
-    write_text(path, json.dumps(content, indent=2, allow_nan=True) + "\n")
 
 
 def provenance() -> dict[str, Any]:

@@ -220,7 +220,9 @@ def test_every_robot_needs_one_of_the_ten_actions(chosen, message):
 
 
 @pytest.mark.parametrize(
-    "kind", [np.int64, np.uint8, lambda n: np.array([n]), np.array, torch.tensor], ids=repr
+    "kind",
+    [np.int64, np.uint8, lambda n: np.array([n]), np.array, torch.tensor],
+    ids=["int64", "uint8", "array of one", "array", "tensor"],
 )
 def test_actions_and_seeds_may_be_integers_of_any_library(kind):
     env, other = parallel_env(SMALL), parallel_env(SMALL, seed=kind(5))

@@ -14,8 +14,8 @@ from pathlib import Path
 from torchrl.record.loggers.csv import CSVExperiment
 
 from marl_explore.config.run import RunConfig
-from marl_explore.training import checkpoint, learners, loop, runs, trainer, validation
-from marl_explore.utils import files
+from marl_explore.training import checkpoint, learners, loop, run_folder, runs, trainer, validation
+from marl_explore.utils import files, tensor_files
 from tests.helpers.configs import tiny
 
 CONFIG = tiny(terminate_at_coverage=0.9, rollout_steps=5, num_minibatches=2, lr_decay=True)
@@ -27,7 +27,7 @@ MOMENTS = {
     "logging": (CSVExperiment, "add_scalar"),
     "validating": (validation, "evaluate"),
     "before a checkpoint": (loop, "write_checkpoint"),
-    "writing a checkpoint": (checkpoint, "save_file"),
+    "writing a checkpoint": (tensor_files, "save_file"),
     "putting a file in its place": (files.os, "replace"),
     "removing a checkpoint": (checkpoint.Path, "unlink"),
     "writing the policy": (runs, "save_policy"),
@@ -42,7 +42,7 @@ def go_on(folder: Path, moment: str | None = None, call: int = 1) -> None:
     """Start a run, or go on with it, and kill this process at a moment."""
     if moment is not None:
         _arm(*MOMENTS[moment], call)
-    if (folder / runs.RECORD_FILE).exists():
+    if (folder / run_folder.CONFIG_FILE).exists():
         runs.resume(folder, progress=False)
     else:
         runs.train(CONFIG, folder, RUN, progress=False)
@@ -62,7 +62,7 @@ def _arm(owner: object, name: str, call: int) -> None:
         nonlocal calls
         calls += 1
         if calls == call:
-            if owner is checkpoint and name == "save_file":  # half of the file
+            if owner is tensor_files and name == "save_file":  # half of the file
                 original(*args, **kwargs)
                 os.truncate(args[1], os.path.getsize(args[1]) // 2)
             os.kill(os.getpid(), signal.SIGKILL)

@@ -12,8 +12,10 @@ from marl_explore.policies.export import Deployed, example_inputs, export_npz
 from marl_explore.policies.networks import MLP
 from marl_explore.policies.policy import Policy
 from marl_explore.robot import ExportedPolicy, Observation
+from marl_explore.robot.policy import save_arrays
 from tests.helpers.configs import NETWORKS
 from tests.policies.test_policies import a_policy
+from tests.robot.test_policy import arrays_of
 
 
 def with_last_norm():
@@ -70,12 +72,12 @@ def test_a_normalised_last_layer(tmp_path):
 def test_weights_that_numpy_would_stretch_are_refused(tmp_path, network, layer, stretched, message):
     policy = with_last_norm() if network == "mlp" else a_policy(network)
     path = export_npz(policy, tmp_path / "policy.npz")
-    with np.load(path) as file:
-        arrays = dict(file)
+    spec, arrays = arrays_of(path)
     weight, bias = (f"0.{layer}.{kind}" for kind in ("weight", "bias"))
     arrays[weight] = arrays[weight][stretched]
     arrays[bias] = arrays[bias][: len(arrays[weight])]
-    np.savez(path, **arrays)
+    with path.open("wb") as file:
+        save_arrays(file, spec, arrays)
     with pytest.raises(ValueError, match=f"robot 0 does not fit its spec: {message}"):
         ExportedPolicy(path, 0)
 
@@ -121,9 +123,14 @@ def test_what_is_no_exported_policy_is_refused(tmp_path):
     with pytest.raises(ValueError, match="not an exported policy"):
         ExportedPolicy(tmp_path / "text.npz", 0)
     np.savez(tmp_path / "other.npz", spec=np.array('{"format": "other"}'))
-    with pytest.raises(ValueError, match="'other', expected 'marl_explore.actors/1'"):
+    with pytest.raises(ValueError, match="'other', expected 'marl_explore.actors/2'"):
         ExportedPolicy(tmp_path / "other.npz", 0)
     path = export_npz(a_policy(), tmp_path / "policy.npz")
+    damaged = bytearray(path.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    (tmp_path / "damaged.npz").write_bytes(damaged)
+    with pytest.raises(ValueError, match=r"damaged.npz is not an exported policy: "):
+        ExportedPolicy(tmp_path / "damaged.npz", 0)
     with pytest.raises(ValueError, match="robot=4 is not allowed: .* of 4"):
         ExportedPolicy(path, 4)
 

@@ -14,6 +14,7 @@ from marl_explore.policies.migrate import migrated
 from marl_explore.policies.networks import CNN, MLP, DeepSet
 from marl_explore.training import runs
 from marl_explore.training.config import TrainConfig
+from marl_explore.training.run_folder import read_config, read_record
 
 OLD_RUN = Path(__file__).parents[1] / "data" / "run-0.1"
 """Stopped after three of six updates, and what version 0.1 made of the rest."""
@@ -31,7 +32,7 @@ def test_a_run_of_a_frozen_copy_resumes_to_the_weights_it_would_have_had(tmp_pat
 
 
 def test_a_run_folder_says_what_it_was():
-    config, run = runs.read_settings(OLD_RUN)
+    config, run = read_config(OLD_RUN), read_record(OLD_RUN).execution
     assert config.network == MLP(hidden=(4,))
     assert (config.ablate, config.num_minibatches, config.init_from) == (("net",), 2, None)
     assert run.checkpoint_every == 3

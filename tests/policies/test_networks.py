@@ -212,7 +212,7 @@ def test_networks_are_told_in_json(network):
         ("MLP", {}, "network='MLP' .*cnn.*mlp"),
         ("mlp", {"hidden": []}, "hidden"),
         ("mlp", {"hidden": [0]}, "hidden=0"),
-        ("cnn", {"norm_last": True}, "network='cnn' has no option 'norm_last'"),
+        ("cnn", {"norm_last": True}, "options of cnn has an unknown field 'norm_last'"),
         ("deepset", {"communicate_every": 4}, r"communicate_every=4 .*\(1, 2, 3, 6\)"),
         ("deepset", {"communicate_after": -1}, "communicate_after=-1"),
     ],

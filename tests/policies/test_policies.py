@@ -15,6 +15,7 @@ from marl_explore.policies.actors import probabilistic_actor
 from marl_explore.policies.io import FORMAT, policy_info, save_policy
 from marl_explore.policies.networks import DeepSet
 from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.utils.tensor_files import write_tensors
 from tests.helpers.configs import NETWORKS
 
 
@@ -112,10 +113,11 @@ def test_what_is_no_policy_is_refused(tmp_path):
     with pytest.raises(ValueError, match="the folder does not exist"):
         save_policy(a_policy(), tmp_path / "nowhere" / "team.safetensors")
     for name, spec in (("empty", {}), ("odd", {"arena": {"depth": 3}, "hidden": []})):
-        metadata = {"format": FORMAT, "spec": json.dumps(spec)}
-        save_file({"w": torch.zeros(1)}, tmp_path / f"{name}.safetensors", metadata)
-        with pytest.raises(ValueError, match=f"{name}.safetensors is not a complete policy"):
-            load_policy(tmp_path / f"{name}.safetensors")
+        path = tmp_path / f"{name}.safetensors"
+        texts = {"spec": json.dumps(spec), "info": "{}"}
+        write_tensors(path, FORMAT, texts, {"w": torch.zeros(1)})
+        with pytest.raises(ValueError, match=f"the spec of .*{name}.safetensors: network=None"):
+            load_policy(path)
     whole = save_policy(a_policy(), tmp_path / "whole.safetensors").read_bytes()
     (tmp_path / "cut.safetensors").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"cut.safetensors is not a readable policy file"):

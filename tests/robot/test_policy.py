@@ -8,19 +8,26 @@ import numpy as np
 import pytest
 
 from marl_explore.robot import ExportedPolicy
+from marl_explore.robot.policy import save_arrays
 from tests.helpers.policy_file import policy_file
 
 
 def changed(folder, spec=None, arrays=None):
     """A policy file with other entries of its spec and other arrays; None: without them."""
     path = policy_file(folder)
-    with np.load(path) as file:
-        old = {name: file[name] for name in file.files}
-    told = json.loads(str(old.pop("spec"))) | (spec or {})
+    read, old = arrays_of(path)
+    told = json.loads(read) | (spec or {})
     new = {name: array for name, array in (old | (arrays or {})).items() if array is not None}
     told = {name: value for name, value in told.items() if value is not None}
-    np.savez(path, spec=np.array(json.dumps(told)), **new)
+    with path.open("wb") as file:
+        save_arrays(file, json.dumps(told), new)
     return path
+
+
+def arrays_of(path):
+    """Spec and weights of a policy file."""
+    with np.load(path) as file:
+        return str(file["spec"]), {n: file[n] for n in file.files if n not in ("spec", "sha256")}
 
 
 def test_a_whole_file_is_taken(tmp_path):
@@ -68,8 +75,8 @@ def test_weights_that_do_not_fit_are_refused(tmp_path, arrays, message):
 
 def test_an_actor_that_is_not_there_is_refused(tmp_path):
     path = policy_file(tmp_path)
-    with np.load(path) as file:
-        kept = {name: file[name] for name in file.files if not name.startswith("2.")}
-    np.savez(path, **kept)
+    spec, arrays = arrays_of(path)
+    with path.open("wb") as file:
+        save_arrays(file, spec, {n: a for n, a in arrays.items() if not n.startswith("2.")})
     with pytest.raises(ValueError, match="robot 2 .*10 logits"):
         ExportedPolicy(path, 2)

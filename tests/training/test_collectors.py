@@ -22,8 +22,9 @@ from marl_explore.policies.networks import MLP, OBSERVATION_KEYS
 from marl_explore.training import collectors, runs, trainer
 from marl_explore.training.checkpoint import list_checkpoints, read_checkpoint, write_checkpoint
 from marl_explore.training.collectors import make_collector
+from marl_explore.training.environment import make_training_env
 from marl_explore.training.restarts import RestartingCollector
-from marl_explore.training.trainer import Trainer, make_training_env
+from marl_explore.training.trainer import Trainer
 from marl_explore.training.workers import WorkerDeathError, WorkerError
 from tests.helpers.killing import CONFIG
 

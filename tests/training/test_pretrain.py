@@ -13,7 +13,7 @@ from marl_explore import list_policies, load_policy
 from marl_explore.config.run import RunConfig
 from marl_explore.policies.io import policy_info
 from marl_explore.policies.networks import MLP
-from marl_explore.training import runs
+from marl_explore.training import run_folder, runs
 from marl_explore.training.config import TrainConfig
 from marl_explore.training.presets import PRESETS
 from marl_explore.training.pretrain import bundle, recorded_replay, replay_score
@@ -76,7 +76,7 @@ def test_it_is_scored_on_arenas_of_the_kind_it_was_trained_on(tmp_path):
 
 
 def test_an_unfinished_run_is_refused(run, tmp_path):
-    runs.prepare(TINY, tmp_path / "new", RunConfig())
+    run_folder.prepare(TINY, tmp_path / "new", RunConfig())
     shutil.copy(run / "policy.safetensors", tmp_path / "new")
     with pytest.raises(ValueError, match="is not finished"):
         bundle(tmp_path / "new", "tiny", tmp_path)

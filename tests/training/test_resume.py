@@ -23,6 +23,7 @@ from marl_explore.training.checkpoint import (
     read_checkpoint,
     write_checkpoint,
 )
+from marl_explore.training.run_folder import is_finished
 from marl_explore.training.trainer import Trainer
 from marl_explore.utils.interrupts import RunInterruptedError, deferred
 from tests.helpers.killing import CONFIG, RUN, start
@@ -69,7 +70,7 @@ def finish(folder):
     process = start(folder)
     process.join(60)
     assert process.exitcode == 0
-    assert runs.is_finished(folder)
+    assert is_finished(folder)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +106,7 @@ def test_a_run_killed_again_and_again_at_random_times(tmp_path, undisturbed):
     folder = tmp_path / "run"
     start(folder, "collecting", 1).join(60)
     draw, kills = random.Random(1), 1
-    while not runs.is_finished(folder):
+    while not is_finished(folder):
         process = start(folder)
         # longer and longer: a busy machine must come to the next checkpoint in the end
         process.join(draw.uniform(0.05, 0.5) * (1 + kills / 10))

@@ -16,6 +16,7 @@ import torch
 from marl_explore.config.run import RunConfig, parse_seeds
 from marl_explore.policies.io import load_policy
 from marl_explore.training import runs, seeds
+from marl_explore.training.run_folder import is_finished
 from marl_explore.utils import records
 from marl_explore.utils.interrupts import RunInterruptedError
 from tests.helpers.killing import CONFIG, RUN
@@ -88,7 +89,7 @@ def test_a_stopped_sweep_keeps_a_checkpoint_of_every_run_and_goes_on(tmp_path):
     with pytest.raises(ChildProcessError, match=r"seeds \[0, 1\] failed, see .*seed-0\.log"):
         seeds.resume_sweep(folder)
     assert "belongs to another run: episodes=1000000 there" in (folder / "seed-0.log").read_text()
-    assert runs.is_finished(folder / "seed-2")
+    assert is_finished(folder / "seed-2")
     assert len(json.loads((folder / "sweep.json").read_text())["starts"]) == 2
 
 

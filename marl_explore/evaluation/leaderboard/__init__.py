@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from marl_explore.evaluation.leaderboard.cells import BOUND, Cell, make_cells
-from marl_explore.evaluation.leaderboard.entries import Entry, parse_entries
+from marl_explore.evaluation.leaderboard.cells import Cell, make_cells
+from marl_explore.evaluation.leaderboard.entries import BOUND, Entry, parse_entries
 from marl_explore.evaluation.leaderboard.ranking import Row, rank
 from marl_explore.evaluation.leaderboard.report import write_report
 from marl_explore.evaluation.leaderboard.table import write_tables

@@ -17,7 +17,8 @@ from tqdm import tqdm
 from marl_explore.arenas import Suite
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.evaluation import metrics
-from marl_explore.evaluation.episodes import TEST_STREAM, record
+from marl_explore.evaluation.episodes import TEST_STREAM, record, require_recording
+from marl_explore.evaluation.leaderboard.entries import BOUND
 from marl_explore.evaluation.leaderboard.fingerprint import source_digest
 from marl_explore.evaluation.metrics import Episodes
 from marl_explore.evaluation.registry import ARGMAX, find_policy
@@ -26,14 +27,12 @@ from marl_explore.planners import PLANNERS, counting_bound
 from marl_explore.policies.io import policy_digest
 from marl_explore.utils import records
 from marl_explore.utils.files import write_text
+from marl_explore.utils.json_files import digest, read_json
 
-FORMAT = 2
+FORMAT = 3
 """To be increased when ``measured`` changes its content."""
 HOW = ("format", "code")
 """Settings that say how a cell was measured: if only these differ, it is measured again."""
-BOUND = "bound"
-"""In place of a policy: ``planners.counting_bound``."""
-
 Result = dict[str, Any]
 """The content of a cell's file; see ``measure``."""
 
@@ -95,6 +94,7 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
     """
     cells = list(dict.fromkeys(cells))
     for cell in cells:
+        require_recording(cell.suite.config, cell.num_arenas, cell.steps)
         if cell.policy != BOUND:
             find_policy(cell.policy, cell.suite.config)
     paths = {cell: folder / cell.file_name for cell in cells}
@@ -113,23 +113,37 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
             if cell not in results:
                 bar.set_postfix_str(f"{cell.policy} on {cell.suite.id}", refresh=terminal)
                 results[cell] = measure(cell)
-                write_text(paths[cell], json.dumps(results[cell]) + "\n")
+                write(paths[cell], results[cell])
                 bar.update()
     return results
+
+
+def write(path: Path, result: Result) -> None:
+    """Write a cell's file, with a SHA-256 of what it holds."""
+    write_text(path, json.dumps({"sha256": digest(result), **result}) + "\n")
 
 
 def read(path: Path, cell: Cell) -> Result | None:
     """The result in a file; None when it was measured by other code.
 
     Raises:
-        ValueError: when the file is not a cell, or that of another cell, naming the difference.
+        ValueError: when the file is not a cell, is damaged, or is that of another cell, naming the
+            difference.
     """
-    try:
-        result: Result = json.loads(path.read_text())
-        made = dict(result["settings"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is not a leaderboard cell: delete it ({error!r})") from error
     wanted = cell.settings
+    try:
+        result: Result = read_json(path)
+        signed, made = result.pop("sha256", None), result.get("settings")
+        if not isinstance(made, dict):
+            raise ValueError("it has no settings")
+        # other formats are measured again, whatever they hold
+        if made.get("format") == FORMAT and signed != digest(result):
+            raise ValueError("its contents do not match its SHA-256")
+    except ValueError as error:
+        raise ValueError(
+            f"{path} is not a leaderboard cell, or is damaged: delete it to measure it again "
+            f"({error})"
+        ) from error
     different = [
         f"{name} was {made.get(name)!r} and now is {value!r}"
         for name, value in wanted.items()

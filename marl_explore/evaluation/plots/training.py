@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from marl_explore.evaluation.plots.style import STYLE, draw_band, legend, line_styles, save
 from marl_explore.evaluation.stats import Array, curve_interval
+from marl_explore.utils.curves import read_curve
 
 MEASURES = {
     "episode_return": "return of an episode",
@@ -71,8 +71,7 @@ def _scalars(folder: Path, measure: str) -> Array:
     file = folder / "scalars" / f"{measure}.csv"
     if not file.is_file():
         raise ValueError(f"{str(folder)!r} is not a run folder with {measure!r}: no {file}")
-    with file.open(newline="") as rows:
-        values = np.array(list(csv.reader(rows)), np.float64)
+    values = read_curve(file)
     values = values[np.isfinite(values[:, 1])]
     if not len(values):
         raise ValueError(f"{file} has no value")

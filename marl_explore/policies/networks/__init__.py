@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.fields import read_fields
 from marl_explore.policies.networks.base import CriticInput, Network
 from marl_explore.policies.networks.cnn import CNN
 from marl_explore.policies.networks.deepset import DeepSet
@@ -39,24 +39,20 @@ NETWORKS: dict[str, type[Network]] = {kind.name: kind for kind in (MLP, CNN, Dee
 """Every kind of network by name."""
 
 
-def network_from_json(name: str, options: Mapping[str, Any]) -> Network:
+def network_from_json(name: object, options: object, where: str = "settings") -> Network:
     """The network with this name and these options, the inverse of ``Network.to_json``.
 
+    Args:
+        name: one of ``NETWORKS``.
+        options: a JSON object.
+        where: what holds them, such as a file, for error messages.
+
     Raises:
-        ValueError: for an unknown name or option, and for options out of range.
+        ValueError: for an unknown name or option, and for options of a wrong type or out of range.
     """
-    if name not in NETWORKS:
-        raise ValueError(f"network={name!r} is not allowed: use one of {sorted(NETWORKS)}")
-    kind = NETWORKS[name]
-    unknown = set(options) - set(kind.option_names())
-    if unknown:
-        raise ValueError(
-            f"network={name!r} has no option {min(unknown)!r}: it has {kind.option_names()}"
-        )
-    values: dict[str, Any] = {
-        key: tuple(v) if isinstance(v, list) else v for key, v in options.items()
-    }
-    return kind(**values)
+    if not isinstance(name, str) or name not in NETWORKS:
+        raise ValueError(f"{where}: network={name!r} is not allowed: use one of {sorted(NETWORKS)}")
+    return read_fields(NETWORKS[name], options, f"{where}, options of {name}")
 
 
 class NetworkSettings:
@@ -69,14 +65,12 @@ class NetworkSettings:
         return asdict(self) | self.network.to_json()  # type: ignore[call-overload]
 
     @classmethod
-    def from_json(cls, fields: Mapping[str, Any]) -> Self:
+    def from_json(cls, values: Mapping[str, Any], where: str = "settings") -> Self:
         """The inverse of ``to_json``.
 
         Raises:
-            KeyError, TypeError, ValueError: when the fields are not such settings.
+            ValueError: naming ``where`` and the field, when the values are not such settings.
         """
-        values: dict[str, Any] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()
-        }
-        network = network_from_json(values["network"], values.pop("options"))
-        return cls(**values | {"arena": ArenaConfig(**values["arena"]), "network": network})
+        rest = dict(values)
+        network = network_from_json(rest.pop("network", None), rest.pop("options", None), where)
+        return read_fields(cls, {**rest, "network": network}, where)

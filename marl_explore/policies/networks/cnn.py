@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer, require_widths
 from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATURES
+from marl_explore.config.fields import check_types
 from marl_explore.policies.networks.base import Network
 from marl_explore.policies.networks.inputs import PAPER_INPUTS, by_robot, robots_read
 from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize
@@ -37,6 +38,7 @@ class CNN(Network):
 
     def __post_init__(self) -> None:
         """Check the widths."""
+        check_types(self)
         require_integer("hidden", self.hidden, 1)
         for option in ("channels", "widths", "state_hidden"):
             require_widths(option, getattr(self, option))

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require, require_integer, require_widths
 from marl_explore.config.constants import FORBIDDEN_LOGIT
+from marl_explore.config.fields import check_types
 from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
 from marl_explore.core.information_gain import TERRITORY_SIZE
 from marl_explore.policies.networks.base import Network
@@ -46,6 +47,7 @@ class DeepSet(Network):
 
     def __post_init__(self) -> None:
         """Check the options."""
+        check_types(self)
         require_widths("hidden", self.hidden)
         for option in ("code_width", "context"):
             require_integer(option, getattr(self, option), 1)

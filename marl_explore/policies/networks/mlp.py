@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_widths
 from marl_explore.config.constants import NUM_ACTIONS
+from marl_explore.config.fields import check_types
 from marl_explore.policies.networks.base import Network
 from marl_explore.policies.networks.inputs import PAPER_INPUTS, concat_observation, robots_read
 from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, mlp
@@ -30,6 +31,7 @@ class MLP(Network):
 
     def __post_init__(self) -> None:
         """Check the widths."""
+        check_types(self)
         require_widths("hidden", self.hidden)
 
     def make_actor(self, arena: ArenaConfig) -> MLPActor:

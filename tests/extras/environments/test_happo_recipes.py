@@ -163,6 +163,32 @@ def test_the_command_writes_runs_curves_and_a_summary(tmp_path, name):
     assert "exists and is not empty" in again.stderr.splitlines()[-1]
 
 
+@pytest.mark.parametrize(
+    ("steps", "label"),
+    [("5", "return of an episode"), ("100", "reward")],
+    ids=["episodes end", "no episode ends"],
+)
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_single_seed_has_no_interval(tmp_path, name, steps, label):
+    short = f"--max-steps {steps} --frames 20 --updates 3 --num-minibatches 1 --epochs 1 --seeds 4"
+    envs = ["--num-envs", "2"] if name == "happo_vmas" else []
+    command = [sys.executable, str(ROOT / "recipes" / f"{name}.py"), *short.split(), *envs]
+    done = subprocess.run(
+        [*command, "--out", tmp_path / "out"], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    for algorithm in ALGORITHMS:
+        assert ("episode_return" in summary[algorithm]) == (label != "reward")
+        (line,) = (row for row in done.stdout.splitlines() if row.startswith(f"{algorithm}: "))
+        head, _, value = line.rpartition(" ")
+        assert head == f"{algorithm}: {label}"
+        assert math.isfinite(float(value))
+        assert f"{algorithm}, seed 4: 100%" in done.stderr  # the progress bar
+        assert "60/60" in done.stderr
+    assert (tmp_path / "out" / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_wrong_settings_and_missing_packages_are_named(recipe):
     with pytest.raises(ValueError, match="updates=0"):
         recipe.Settings(updates=0)

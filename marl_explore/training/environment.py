@@ -1,0 +1,28 @@
+"""The environment of a training run."""
+
+from __future__ import annotations
+
+from torchrl.envs import EnvBase, RewardSum
+
+from marl_explore.envs.factory import make_env
+from marl_explore.training.config import TrainConfig
+
+
+def make_training_env(
+    config: TrainConfig, num_envs: int | None = None, first_arena: int = 0
+) -> EnvBase:
+    """The environment of a training run, or a part of its arenas, with episode returns."""
+    env = make_env(
+        config.arena,
+        num_envs=num_envs or config.num_envs,
+        reward=config.reward,
+        max_steps=config.episode_steps,
+        terminate_at_coverage=config.terminate_at_coverage,
+        arenas=config.arenas,
+        seed=config.seed,
+        first_arena=first_arena,
+        fpr=config.fpr,
+        features=config.network.features,
+    )
+    env.append_transform(RewardSum())
+    return env

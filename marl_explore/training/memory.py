@@ -1,0 +1,34 @@
+"""Memory of a training run, estimated before it is begun."""
+
+from __future__ import annotations
+
+from marl_explore.policies.policy import PolicyConfig
+from marl_explore.training.config import TrainConfig
+from marl_explore.training.environment import make_training_env
+from marl_explore.utils.memory import require_memory, weights_memory
+
+COPIES = 4
+"""Numbers kept per weight: itself, its gradient, and Adam's two moments."""
+
+
+def policy_config(config: TrainConfig) -> PolicyConfig:
+    """Settings of the policy that a run trains."""
+    shared = config.algorithm == "mappo"
+    return PolicyConfig(config.arena, config.network, config.fpr, config.ablate, shared)
+
+
+def require_training_memory(config: TrainConfig) -> None:
+    """Raise an error for a run that does not fit this machine, or whose environment fails.
+
+    Raises:
+        ValueError: naming the settings that need the memory, or what the environment refuses.
+    """
+    critic = weights_memory(lambda: config.network.make_critic(config.arena, config.critic_input))
+    critics = critic * (config.arena.num_agents if config.algorithm == "ippo" else 1)
+    weights = COPIES * (policy_config(config).weights_memory + critics)
+    require_memory(f"the weights of network={config.network!r}", weights)
+    step = 2 * make_training_env(config, num_envs=1).reset().bytes()  # and the next observation
+    require_memory(
+        f"a batch of num_envs={config.num_envs} x rollout_steps={config.rollout_steps}",
+        weights + config.batch_frames * step,
+    )
