@@ -13,8 +13,10 @@ export OMP_NUM_THREADS ?= 1
 BENCHMARL := .venv-benchmarl
 # and so does ROS: its wheels start Python anew to find their libraries
 ROS := .venv-ros
+# and RLlib, which pins another version of gymnasium
+RLLIB := .venv-rllib
 
-.PHONY: demo programs test test-all test-benchmarl test-ros lint speed leaderboard clean
+.PHONY: demo programs test test-all test-benchmarl test-rllib test-ros lint speed leaderboard clean
 # one after the other: they share an environment, and the programs come before what is built by them
 .NOTPARALLEL:
 
@@ -24,11 +26,15 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n 2 tests --ignore=tests/extras
 
-test-all: programs test test-benchmarl test-ros $(VENV)/installed-extras
-	$(BIN)/python -m pytest -n 2 tests/extras --ignore=tests/extras/benchmarl --ignore=tests/extras/ros2
+test-all: programs test test-benchmarl test-rllib test-ros $(VENV)/installed-extras
+	$(BIN)/python -m pytest -n 2 tests/extras \
+	  --ignore=tests/extras/benchmarl --ignore=tests/extras/rllib --ignore=tests/extras/ros2
 
 test-benchmarl: $(BENCHMARL)/installed
 	$(BENCHMARL)/bin/python -m pytest tests/extras/benchmarl
+
+test-rllib: $(RLLIB)/installed
+	$(RLLIB)/bin/python -m pytest tests/extras/rllib
 
 test-ros: $(ROS)/installed
 	$(ROS)/bin/python -m pytest tests/extras/ros2
@@ -77,6 +83,13 @@ $(BENCHMARL)/installed: pyproject.toml constraints.txt
 	$(BENCHMARL)/bin/python -m pip install -q "hydra-core==1.3.8"
 	touch $@
 
+$(RLLIB)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(RLLIB)
+	$(RLLIB)/bin/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
+	sed '/^gymnasium==/d' constraints.txt > $(RLLIB)/constraints.txt
+	$(RLLIB)/bin/python -m pip install -q -c $(RLLIB)/constraints.txt -e ".[rllib]" pytest
+	touch $@
+
 $(ROS)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(ROS)
 	$(ROS)/bin/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
@@ -86,4 +99,4 @@ $(ROS)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(BENCHMARL) $(ROS) demo leaderboard build dist *.egg-info
+	rm -rf $(VENV) $(BENCHMARL) $(RLLIB) $(ROS) demo leaderboard build dist *.egg-info

@@ -10,6 +10,8 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from marl_explore.utils.extras import require_extra
+
 if TYPE_CHECKING:
     from marl_explore.adapters.benchmarl import ExplorationTask as ExplorationTask
     from marl_explore.adapters.benchmarl import HappoConfig as HappoConfig
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from marl_explore.core.rewards import StepRecord as StepRecord
     from marl_explore.envs.exploration import ExplorationEnv as ExplorationEnv
     from marl_explore.envs.factory import make_env as make_env
+    from marl_explore.envs.workers import split_arenas as split_arenas
     from marl_explore.evaluation import metrics as metrics
     from marl_explore.evaluation import plots as plots
     from marl_explore.evaluation import stats as stats
@@ -130,6 +133,7 @@ _EXPORTS = {
     "core.rewards": ("StepRecord",),
     "envs.exploration": ("ExplorationEnv",),
     "envs.factory": ("make_env",),
+    "envs.workers": ("split_arenas",),
     "evaluation": ("metrics", "plots", "stats"),
     "evaluation.episodes": ("play", "record", "watch"),
     "evaluation.registry": ("find_policy",),
@@ -180,8 +184,8 @@ _EXPORTS = {
 """Modules of the public names; the block above tells type checkers the same."""
 _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 
-_OPTIONAL = ("adapters.benchmarl", "lab", "ros2.recordings")
-"""Modules that need the packages of an extra; a star import leaves their names out."""
+_OPTIONAL = {"adapters.benchmarl": "benchmarl", "lab": "vmas", "ros2.recordings": "rosbags"}
+"""Modules that need an optional package; a star import leaves their names out."""
 
 __all__ = sorted(name for name, home in _HOMES.items() if home not in _OPTIONAL)
 
@@ -191,6 +195,8 @@ def __getattr__(name: str) -> Any:
         return version("marl-explore")
     if name not in _HOMES:
         raise AttributeError(f"module 'marl_explore' has no attribute {name!r}")
+    if _HOMES[name] in _OPTIONAL:
+        require_extra(_OPTIONAL[_HOMES[name]])
     home = import_module(f"marl_explore.{_HOMES[name]}")
     if not hasattr(home, name):  # a module
         import_module(f"{home.__name__}.{name}")

@@ -12,6 +12,7 @@ files become a replay buffer of partly known maps. Pursuit needs the extra "purs
 
 from __future__ import annotations
 
+import sys
 import warnings
 from pathlib import Path
 from typing import Any, Literal
@@ -119,7 +120,10 @@ class MapsFromViews(Transform):
 
 def pursuit_env(seed: int = 0) -> TransformedEnv:
     """Eight pursuers on 16 x 16 cells, who also observe their map, FPR and NET."""
-    from pettingzoo.sisl import pursuit_v5
+    try:
+        from pettingzoo.sisl import pursuit_v5
+    except ModuleNotFoundError as error:
+        sys.exit(f'error: this program needs {error.name}: pip install "marl-explore[pursuit]"')
 
     env: ParallelEnv[str, Any, int] = Located(pursuit_v5.parallel_env(max_cycles=100))
     with warnings.catch_warnings():  # about the version that it was tested with

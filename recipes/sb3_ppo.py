@@ -9,14 +9,19 @@ part of the observation, since Stable-Baselines3 does not mask actions. Needs th
 
 from __future__ import annotations
 
+import sys
 import warnings
 from typing import Any
 
 import tyro
-from stable_baselines3 import PPO
-from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecMonitor
-from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
+
+try:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.utils import set_random_seed
+    from stable_baselines3.common.vec_env import VecMonitor
+    from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
+except ModuleNotFoundError as error:
+    sys.exit(f'error: this program needs {error.name}: pip install "marl-explore[sb3]"')
 
 from marl_explore import ArenaConfig, parallel_env, require_integer, run_program
 

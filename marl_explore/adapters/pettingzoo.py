@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operator import index
+from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,20 +12,24 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 from tensordict import TensorDict, TensorDictBase
 
-from marl_explore.adapters.pictures import ascii_picture, rgb_picture
+from marl_explore.adapters.window import Window
 from marl_explore.arenas import Generator
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.rewards import Reward
 from marl_explore.envs.factory import make_env
+from marl_explore.envs.given import as_integer, checked_seed
 from marl_explore.policies.networks import OBSERVATION_KEYS
 from marl_explore.policies.networks.inputs import concat_observation
 
-RenderMode = Literal["rgb_array", "ansi"]
+RenderMode = Literal["human", "rgb_array", "ansi"]
 _RENDER_MODES: tuple[RenderMode, ...] = get_args(RenderMode)
 Observation = dict[str, NDArray[Any]]
+_NAME, _FPS = "marl_explore_v0", 8
 _START = ("obstacles", "positions")
+_UNUSED = "options"
+"""A key without a meaning, which PettingZoo's own tests give."""
 
 
 def parallel_env(
@@ -38,14 +42,15 @@ def parallel_env(
     arenas: str | Generator = "uniform",
     seed: int = 0,
     stream: str = "train",
-    first_arena: int = 0,
+    first_arena: int | None = None,
     fpr: Normalization | None = "relative",
     shared_reward: bool = True,
 ) -> ParallelExploration:
     """One arena of the exploration task as a PettingZoo environment; see ``ParallelExploration``.
 
     Args:
-        render_mode: what ``render`` returns: "rgb_array", "ansi", or None.
+        render_mode: "human" shows every step in a window, or as text where there is no display;
+            ``render`` returns an image for "rgb_array" and text for "ansi".
         config, reward, max_steps, terminate_at_coverage, arenas, seed, stream, first_arena, fpr:
             as for ``make_env``.
         shared_reward: whether each robot gets the team's reward; False: its own.
@@ -82,9 +87,9 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
     """
 
     metadata = {  # noqa: RUF012 - as PettingZoo declares it
-        "name": "marl_explore_v0",
+        "name": _NAME,
         "render_modes": list(_RENDER_MODES),
-        "render_fps": 8,
+        "render_fps": _FPS,
         "is_parallelizable": True,
     }
 
@@ -106,6 +111,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         self._env = make_env(config, 1, reward, max_steps, **options)
         self._config: ArenaConfig = self._env.base_env.config
         self._now: TensorDictBase | None = None
+        self._window = Window(_NAME, _FPS)
         robots = self._config.num_agents
         self.possible_agents = [f"robot_{i}" for i in range(robots)]
         self.agents: list[str] = []
@@ -134,21 +140,24 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         """Start an episode.
 
         Args:
-            seed: of the arenas from now on; None: the next arena.
-            options: "obstacles" and "positions" of an arena to start in; others are ignored.
+            seed: of the arenas from now on, at least 0 and below 2**64; None: the next arena.
+            options: "obstacles" and "positions" of an arena to start in.
 
         Raises:
-            ValueError: when only one of them is given, or starts are out of bounds, occupied or
-                shared.
+            ValueError: for another seed or option, when only one of the two is given, or starts
+                are out of bounds, occupied or shared. The episode in progress is kept.
         """
+        start = self._given(options or {})
+        if seed is not None:
+            seed = checked_seed(seed)
+        if start is not None:
+            self._now = self._env.reset(start, set_state=True)
         if seed is not None:
             self._env.set_seed(seed)
-        start = {key: options[key] for key in _START if key in options} if options else {}
-        if start:
-            self._now = self._env.reset(self._given(start), set_state=True)
-        else:
+        if start is None:
             self._now = self._env.reset()
         self.agents = list(self.possible_agents)
+        self._show()
         return self._observations(), self._infos()
 
     def step(
@@ -181,6 +190,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         before = self._current.select("obstacles", "step_count", "agents", strict=False)
         before["agents", "action"] = torch.tensor([chosen])
         self._now = self._env.step(before)["next"]
+        self._show()
         outcome = [self._now[key].item() for key in ("terminated", "truncated")]
         terminated, truncated = (dict.fromkeys(self.agents, value) for value in outcome)
         rewards = self._rewards()
@@ -202,15 +212,22 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         return torch.cat([part.flatten().float() for part in parts]).numpy()
 
     def render(self) -> NDArray[np.uint8] | str | None:
-        """The union of the robots' maps as an image uint8 [16 H, 16 W, 3], or as text."""
-        if self.render_mode is None:
+        """The union of the robots' maps as an image uint8 [16 H, 16 W, 3], or as text.
+
+        None without a render mode and for "human", which shows every step by itself.
+        """
+        if self.render_mode in (None, "human"):
             return None
-        draw = ascii_picture if self.render_mode == "ansi" else rgb_picture
-        agents = self._current["agents"]
-        return draw(agents["map"][0], agents["position"][0])
+        return self._env.render(mode=self.render_mode)
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            agents = self._current["agents"]
+            self._window.show(agents["map"][0], agents["position"][0])
 
     def close(self) -> None:
-        """Does nothing: there are no resources to release."""
+        """Close the window, if there is one."""
+        self._window.close()
 
     @property
     def _current(self) -> TensorDictBase:
@@ -218,11 +235,18 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
             raise RuntimeError("no episode is in progress: call reset() first")
         return self._now
 
-    def _given(self, start: dict[str, Any]) -> TensorDict:
+    def _given(self, options: Mapping[str, Any]) -> TensorDict | None:
+        """The start that the options ask for, if they do."""
+        for key in options:
+            if key not in (*_START, _UNUSED):
+                raise ValueError(f"options[{key!r}] is not allowed: use both of {_START}")
+        start = {key: options[key] for key in _START if key in options}
+        if not start:
+            return None
         if len(start) < len(_START):
-            raise ValueError(f"options={sorted(start)} is not allowed: give both of {_START}")
+            raise ValueError(f"options={[*start]} is not allowed: give both of {_START}")
         obstacles, positions = (torch.as_tensor(np.asarray(start[k])).unsqueeze(0) for k in _START)
-        agents = TensorDict({"position": positions}, batch_size=[1, len(self.possible_agents)])
+        agents = TensorDict({"position": positions}, batch_size=[1])
         return TensorDict({"obstacles": obstacles, "agents": agents}, batch_size=[1])
 
     def _observations(self) -> dict[str, Observation]:
@@ -250,11 +274,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
 
 
 def _checked(agent: str, action: Any) -> int:
-    try:
-        chosen = index(action)
-    except TypeError:
-        chosen = -1
-    if not 0 <= chosen < NUM_ACTIONS:
+    chosen = as_integer(action)
+    if chosen is None or not 0 <= chosen < NUM_ACTIONS:
         raise ValueError(
             f"actions[{agent!r}]={action!r} is not allowed: every robot needs an action from "
             f"0 to {NUM_ACTIONS - 1}"

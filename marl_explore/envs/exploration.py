@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase
 
 from marl_explore import arenas as suites
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.config.checks import require_coverage, require_integer
-from marl_explore.core import mapping, motion, rewards, sensing, world
+from marl_explore.config.checks import require, require_coverage, require_integer
+from marl_explore.core import mapping, rewards, sensing, world
 from marl_explore.core.hashing import stream_seed
-from marl_explore.core.links import links
 from marl_explore.core.world import WorldState
+from marl_explore.envs.given import checked_action, checked_seed, given_state, loaded_state
+from marl_explore.envs.masks import CurrentMask
 from marl_explore.envs.memory import require_env_memory
+from marl_explore.envs.pictures import RenderMode, picture
 from marl_explore.envs.specs import exploration_specs
 from marl_explore.envs.state import EpisodeState, LastStep
-
-_WORLD_KEYS: dict[NestedKey, str] = {
-    "obstacles": "obstacles",
-    ("agents", "map"): "map",
-    ("agents", "position"): "position",
-    ("agents", "unshared"): "unshared",
-    ("agents", "steps_since_merge"): "steps_since_merge",
-    "step_count": "step_count",
-}
-_START_KEYS: tuple[NestedKey, NestedKey] = ("obstacles", ("agents", "position"))
+from marl_explore.envs.workers import in_worker, warn_of_shared_arenas
 
 
 class ExplorationEnv(EnvBase):
@@ -49,7 +43,8 @@ class ExplorationEnv(EnvBase):
             positions).
         seed: together with ``stream``, arena index and episode number, it determines every arena.
         stream: name of an independent family of arenas, such as "train" or "test".
-        first_arena: index of the first arena; workers with disjoint ranges share one numbering.
+        first_arena: index of the first arena (None: 0); workers with disjoint ranges share one
+            numbering (``split_arenas``).
         device: of all tensors.
 
     Raises:
@@ -68,33 +63,37 @@ class ExplorationEnv(EnvBase):
         arenas: str | suites.Generator = "uniform",
         seed: int = 0,
         stream: str = "train",
-        first_arena: int = 0,
+        first_arena: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         config = config or suites.default_config(arenas)
         require_integer("num_envs", num_envs, 1)
         require_integer("max_steps", max_steps, 1)
-        require_integer("first_arena", first_arena, 0)
-        require_integer("seed", seed, 0)
+        if first_arena is not None:
+            require_integer("first_arena", first_arena, 0)
         if not isinstance(stream, str):
             raise ValueError(f"stream={stream!r} is not allowed: it must be a string")
         require_coverage("terminate_at_coverage", terminate_at_coverage)
+        seed = checked_seed(seed)
         require_env_memory(config, num_envs)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
         self.max_steps = max_steps
         self.terminate_at_coverage = terminate_at_coverage
         self.stream = stream
-        self.first_arena = first_arena
+        self.first_arena = first_arena or 0
         self.group_map = {"agents": [f"robot_{i}" for i in range(config.num_agents)]}
         self._reward = rewards.resolve(reward)
         self._generate = suites.resolve(arenas, config)
+        self._names = {"reward": _name(reward), "arenas": _name(arenas)}
         self._seed = seed
+        self._may_share_arenas = first_arena is None and stream == "train" and in_worker()
         # -1: no arena drawn yet; the first reset draws episode 0
         self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=self.device)
+        self._mask = CurrentMask()
         self._state: EpisodeState | None = None
         self._restored = False
-        specs = exploration_specs(config, self.batch_size, self.device)
+        specs = exploration_specs(config, self.batch_size, self.device, self._mask)
         self.full_state_spec, self.full_observation_spec, *others = specs
         self.full_action_spec, self.full_reward_spec, self.full_done_spec = others
 
@@ -114,8 +113,8 @@ class ExplorationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Restart the numbering of episodes with another seed."""
         if seed is not None:
-            self._restored = False
-            self._seed = seed
+            self._seed = checked_seed(seed)
+            self._restored = self._may_share_arenas = False
             self._episode = torch.full_like(self._episode, -1)
 
     def _reset(
@@ -123,7 +122,7 @@ class ExplorationEnv(EnvBase):
     ) -> TensorDictBase:
         flagged = None if tensordict is None else tensordict.get("_reset", None)
         if set_state:
-            given = self._given_state(tensordict)
+            given = given_state(self.config, self.full_state_spec, tensordict)
             rows = self._rows(flagged)
             self._replace_rows(rows, given.apply(lambda entry: entry[rows]))
         elif not self._restored or flagged is not None:
@@ -147,49 +146,23 @@ class ExplorationEnv(EnvBase):
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
         return world.start(self.config, obstacles, position)
 
-    def _given_state(self, tensordict: TensorDictBase | None) -> EpisodeState:
-        """The state in a TensorDict: given starts, or all of an episode in progress."""
-        entries = {} if tensordict is None else self._state_entries(tensordict)
-        missing = [key for key in _WORLD_KEYS if key not in entries]
-        if any(key in missing for key in _START_KEYS) or (
-            missing and len(entries) > len(_START_KEYS)
-        ):
-            raise ValueError(
-                f"reset(set_state=True) needs {_START_KEYS} to start an episode, or all of "
-                f"{tuple(_WORLD_KEYS)} to continue one; missing: {missing}"
-            )
-        self._check_entries(entries)
-        obstacles, position = (entries[key] for key in _START_KEYS)
-        world.check_starts(obstacles, position)
-        if missing:
-            started = world.start(self.config, obstacles, position)
-            return EpisodeState.at_rest(started, first=True)
-        world.check_maps(obstacles, position, entries["agents", "map"])
-        given = {name: entries[key].clone() for key, name in _WORLD_KEYS.items()}
-        resumed = world.resume(self.config, given.pop("obstacles"), given.pop("position"), **given)
-        return EpisodeState.at_rest(resumed, first=False)
-
-    @staticmethod
-    def _state_entries(tensordict: TensorDictBase) -> dict[NestedKey, Tensor]:
-        found = {key: tensordict.get(key, None) for key in _WORLD_KEYS}
-        return {key: value for key, value in found.items() if value is not None}
-
-    def _check_entries(self, entries: Mapping[NestedKey, Tensor]) -> None:
-        """Check that given entries have their spec's dtype and shape."""
-        for key, value in entries.items():
-            _require_like("reset(set_state=True)", key, value, self.full_state_spec[key])
-
     def _replace_rows(self, rows: Tensor, fresh: EpisodeState) -> None:
         """Write new arenas into the state, without changing tensors that were returned earlier."""
         if self._state is None or len(rows) == self.num_envs:
-            self._state = fresh
+            self._enter(fresh)
         else:
-            self._state = self._state.replace_rows(rows, fresh)
+            self._enter(self._state.replace_rows(rows, fresh))
+
+    def _enter(self, state: EpisodeState | None) -> None:
+        self._state = state
+        self._mask.value = None if state is None else state.world.action_mask
 
     # ------------------------------------------------------------------- step
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict.get(("agents", "action"))
+        action = checked_action(tensordict, self.config.num_agents)
+        if self._may_share_arenas:
+            warn_of_shared_arenas()
         self._restored = False
         state, record = world.advance(self.config, self._now.world, action)
         reward = rewards.checked(self._reward(record), record)
@@ -200,7 +173,7 @@ class ExplorationEnv(EnvBase):
             received=record.received,
             individual_reward=reward.unsqueeze(-1),
         )
-        self._state = EpisodeState(state, last)
+        self._enter(EpisodeState(state, last))
         terminated = self._covered(state, record).unsqueeze(-1)
         truncated = state.step_count >= self.max_steps
         return self._observe(
@@ -250,18 +223,38 @@ class ExplorationEnv(EnvBase):
             device=self.device,
         )
 
-    def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
-        """Uniform random allowed actions (of the current state, without an input)."""
-        if tensordict is None:
-            if self._state is None:
-                return super().rand_action(None)
-            mask = self._now.world.action_mask
-            tensordict = TensorDict({}, batch_size=self.batch_size, device=self.device)
-        else:
-            mask = tensordict.get(("agents", "action_mask"))
-        return tensordict.set(("agents", "action"), motion.random_allowed(mask))
+    # ---------------------------------------------------------------- to look at
+
+    def render(self, mode: RenderMode = "ansi", arena: int = 0) -> str | NDArray[np.uint8]:
+        """The union of the robots' maps in one arena, as text or as an image.
+
+        Args:
+            mode: "ansi", a line of text per row, or "rgb_array", uint8 [16 H, 16 W, 3].
+            arena: which of the B arenas.
+
+        Raises:
+            ValueError: for another mode or arena.
+            RuntimeError: before the first reset.
+        """
+        state = self._now.world
+        require_integer("arena", arena, 0)
+        require(arena < self.num_envs, "arena", arena, f"there are {self.num_envs} arenas")
+        return picture(state.map[arena].cpu(), state.position[arena].cpu(), mode)
+
+    def __repr__(self) -> str:
+        config = self.config
+        return (
+            f"{type(self).__name__}(num_envs={self.num_envs}, robots={config.num_agents}, "
+            f"cells={config.height}x{config.width}, reward={self._names['reward']}, "
+            f"arenas={self._names['arenas']}, max_steps={self.max_steps}, seed={self._seed}, "
+            f"stream={self.stream!r}, first_arena={self.first_arena}, device={self.device})"
+        )
 
     # ------------------------------------------------------------ state, device
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self._enter(self._state)  # a copied mask is empty
 
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
         """Everything that the future of the environment depends on, as tensors and integers."""
@@ -274,48 +267,22 @@ class ExplorationEnv(EnvBase):
         Raises:
             ValueError: when the entries are not those of this environment.
         """
-        started = len(state_dict) > 2
-        if started and "linked" not in state_dict:  # version 0.1 had no such entry
-            linked = links(self.config, state_dict["position"], state_dict["obstacles"])
-            state_dict = {**state_dict, "linked": linked}
-        names = {"seed", "episode", *(EpisodeState.names() if started else ())}
-        if set(state_dict) != names:
-            raise ValueError(
-                f"state_dict holds {sorted(state_dict)}, expected {sorted(names)} "
-                "(made by ExplorationEnv.state_dict)"
-            )
-        if state_dict["episode"].shape != self._episode.shape:
-            raise ValueError(
-                f"state_dict is of {len(state_dict['episode'])} arenas, "
-                f"this environment has {self.num_envs}"
-            )
-        state = None
-        if started:
-            # derived tensors must match those of this configuration
-            for name, like in self._blank().tensors().items():
-                _require_like("state_dict", name, state_dict[name], like)
-            state = EpisodeState.from_tensors(state_dict).apply(lambda x: x.to(self.device))
+        state = loaded_state(self.config, self.full_state_spec, state_dict)
         self._seed = state_dict["seed"]
         self._episode = state_dict["episode"].to(self.device)
-        self._state, self._restored = state, started
-
-    def _blank(self) -> EpisodeState:
-        """A state with empty arenas, for its dtypes and shapes."""
-        entries = self.full_state_spec.zero()
-        blank = world.start(self.config, entries["obstacles"], entries["agents", "position"])
-        return EpisodeState.at_rest(blank, first=True)
+        self._enter(state and state.apply(lambda x: x.to(self.device)))
+        self._restored = state is not None
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ExplorationEnv:
         """Move the state when the environment moves to another device."""
         self._episode = fn(self._episode)
         if self._state is not None:
-            self._state = self._state.apply(fn)
+            self._enter(self._state.apply(fn))
         return super()._apply(fn, recurse)
 
 
-def _require_like(where: str, key: NestedKey, value: Tensor, like: Tensor | TensorSpec) -> None:
-    if value.dtype != like.dtype or value.shape != like.shape:
-        raise ValueError(
-            f"{where}: {key!r} must be {like.dtype} of shape {tuple(like.shape)}, "
-            f"got {value.dtype} of shape {tuple(value.shape)}"
-        )
+def _name(value: Any) -> str:
+    """How ``repr`` shows a reward or a generator."""
+    if isinstance(value, str):
+        return repr(value)
+    return getattr(value, "__name__", type(value).__name__)

@@ -25,7 +25,7 @@ def make_env(
     arenas: str | Generator = "uniform",
     seed: int = 0,
     stream: str = "train",
-    first_arena: int = 0,
+    first_arena: int | None = None,
     device: torch.device | str = "cpu",
     fpr: Normalization | None = "relative",
     backend: Backend = "auto",

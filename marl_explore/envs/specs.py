@@ -10,6 +10,7 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.world import NEVER
+from marl_explore.envs.masks import AllowedActions, CurrentMask
 
 
 class ExplorationSpecs(NamedTuple):
@@ -23,9 +24,9 @@ class ExplorationSpecs(NamedTuple):
 
 
 def exploration_specs(
-    config: ArenaConfig, batch_size: torch.Size, device: torch.device
+    config: ArenaConfig, batch_size: torch.Size, device: torch.device, current: CurrentMask
 ) -> ExplorationSpecs:
-    """Specs for a batch [B] of arenas."""
+    """Specs for a batch [B] of arenas, whose random actions obey the ``current`` mask."""
     robots, side, cells = config.num_agents, config.fov_size, config.num_cells
     size = (config.height, config.width)
 
@@ -73,7 +74,8 @@ def exploration_specs(
     }
     root, agents = world()
     observed_root, observed_agents = world()
-    action = Categorical(NUM_ACTIONS, shape=(*batch_size, robots), device=device)
+    action = AllowedActions(NUM_ACTIONS, shape=(*batch_size, robots), device=device)
+    action.current = current
     ends = ("done", "terminated", "truncated")
     return ExplorationSpecs(
         state=entire(**root, agents=group(**agents)),

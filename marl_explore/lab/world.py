@@ -15,6 +15,7 @@ from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_not_negative
 from marl_explore.config.fields import check_types
 from marl_explore.core.world import check_starts
+from marl_explore.utils.extras import require_extra
 
 Floats = NDArray[np.floating]
 
@@ -80,6 +81,7 @@ class LabWorld:
         check_starts(self.obstacles, self.starts)
 
     def _build(self) -> None:
+        require_extra("vmas")
         from vmas.simulator.environment import Environment
 
         from marl_explore.lab.scenario import LabScenario

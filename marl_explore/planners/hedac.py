@@ -71,7 +71,7 @@ class HEDAC(Planner):
         cell = flat_cell(position, width).unsqueeze(-2).expand(*batch, robots, robots)
         cold.scatter_add_(-1, cell, others.to(grid.dtype))
         warm = conducts * (cold == 0).view_as(conducts)
-        kernel = torch.ones(1, 1, 3, 3, device=grid.device)
+        kernel = conducts.new_ones(1, 1, 3, 3)
         kernel[..., 1, 1] = 0
         ways = conv2d(conducts, kernel, padding=1) + self.loss
         heat = source

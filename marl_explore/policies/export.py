@@ -20,6 +20,7 @@ from marl_explore.policies.io import require_weights
 from marl_explore.policies.networks import PAPER_INPUTS
 from marl_explore.policies.policy import Policy
 from marl_explore.robot.policy import FORMAT, save_arrays
+from marl_explore.utils.extras import require_extra
 from marl_explore.utils.files import atomic_write
 
 INPUTS = ("fov", "fpr", "net", "action_mask")
@@ -110,9 +111,10 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
         folder: where to write; created if it does not exist.
 
     Raises:
-        ModuleNotFoundError: when onnx or onnxscript is not installed.
+        ModuleNotFoundError: when onnx or onnxscript is not installed, saying how to install it.
         ValueError: for actors that read more than FOV, FPR and NET, or weights that are not finite.
     """
+    require_extra("onnx", "onnxscript")
     import onnx
 
     told = spec_text(policy)

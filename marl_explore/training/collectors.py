@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from safetensors.torch import load, save
@@ -22,17 +22,11 @@ from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from marl_explore.config.run import RunConfig
 from marl_explore.core.hashing import stream_seed
+from marl_explore.envs.workers import CreateEnv, require_even_shares, split_arenas
 from marl_explore.policies.actors import TeamActor
 from marl_explore.training.clusters import connect, require_cluster
 from marl_explore.training.workers import AsyncWorkers, SyncWorkers, report
 from marl_explore.utils.interrupts import detach, end_with_parent
-
-
-class CreateEnv(Protocol):
-    """Makes a part of the arenas: ``num_envs`` of them, starting at index ``first_arena``."""
-
-    def __call__(self, *, num_envs: int, first_arena: int) -> EnvBase:
-        """A batched environment around an ``ExplorationEnv``, with "episode_reward"."""
 
 
 class ResumableCollector(Collector):
@@ -111,7 +105,8 @@ def make_collector(
     ``restarts.RestartingCollector`` keeps up to date.
 
     Args:
-        create_env: makes a part of the arenas; workers must be able to import it.
+        create_env: makes a part of the arenas, with "episode_reward"; workers must be able to
+            import it.
         policy: acts on a whole batch of arenas.
         num_envs: total number of arenas; the workers share their numbering.
         steps: of every arena per batch.
@@ -133,10 +128,11 @@ def make_collector(
         env = create_env(num_envs=num_envs, first_arena=first_arena)
         options |= {"device": env.device, "track_traj_ids": False}
         return ResumableCollector(env, policy, frames_per_batch=num_envs * steps, **options)
-    part = num_envs // run.workers
+    parts = split_arenas(create_env, run.workers, num_envs, first_arena)
+    firsts = range(first_arena, first_arena + num_envs, num_envs // run.workers)
     workers = [
-        partial(_worker_env, create_env, part, first, stream_seed(f"worker of arena {first}", seed))
-        for first in range(first_arena, first_arena + num_envs, part)
+        partial(_worker_env, part, stream_seed(f"worker of arena {first}", seed))
+        for part, first in zip(parts, firsts, strict=True)
     ]
     options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
     if run.collector == "ray":
@@ -208,18 +204,15 @@ def require_collector(run: RunConfig, num_envs: int) -> None:
         ValueError: when the arenas cannot be shared evenly, Ray is not installed, or nothing
             answers at its cluster's address.
     """
-    if num_envs % run.workers:
-        raise ValueError(
-            f"workers={run.workers} is not allowed: it must divide num_envs={num_envs}"
-        )
+    require_even_shares(run.workers, num_envs)
     if run.collector == "ray":
         require_cluster(run)
 
 
-def _worker_env(create_env: CreateEnv, num_envs: int, first_arena: int, seed: int) -> EnvBase:
+def _worker_env(create_part: Callable[[], EnvBase], seed: int) -> EnvBase:
     """Called in a worker: its arenas; seeds its own random actions."""
     detach()
     end_with_parent()
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    return create_env(num_envs=num_envs, first_arena=first_arena)
+    return create_part()

@@ -142,7 +142,7 @@ class Clock(FeatureTransform):
     def compute(self, steps: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
         """The time float32 [*B, N, 1 + period]."""
         hand = torch.nn.functional.one_hot(steps.squeeze(-1) % self.period, self.period)
-        time = torch.cat((steps / (steps + LONG_STEPS), hand), -1)
+        time = torch.cat(((steps / (steps + LONG_STEPS)).float(), hand), -1)
         return time.unsqueeze(-2).expand(*position.shape[:-1], -1).contiguous()
 
     def feature_spec(self, steps: TensorSpec, position: TensorSpec) -> TensorSpec:

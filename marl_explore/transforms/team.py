@@ -103,8 +103,8 @@ class Teammates(LinkedFeature):
                 near,
                 *place.unbind(-1),
                 near / distance,
-                unshared / (unshared + FEW_CELLS) * others,
-                since / (since + SHORT_STEPS) * others,
+                (unshared / (unshared + FEW_CELLS)).float() * others,
+                (since / (since + SHORT_STEPS)).float() * others,
             ),
             -1,
         )

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
-from pettingzoo.test import parallel_api_test, parallel_seed_test
+from pettingzoo.test import (
+    api_test,
+    parallel_api_test,
+    parallel_seed_test,
+    render_test,
+    seed_test,
+)
+from pettingzoo.utils import parallel_to_aec
 from torchrl.envs import MarlGroupMapType, PettingZooWrapper, check_env_specs
 
 from marl_explore import ArenaConfig, make_env
@@ -21,12 +30,34 @@ def features(agents, robot):
     return torch.cat(parts).numpy()
 
 
+def make(**options):
+    return parallel_env(SMALL, max_steps=20, **options)
+
+
+def make_aec(**options):
+    return parallel_to_aec(make(**options))
+
+
 def test_it_passes_the_parallel_api_test():
-    parallel_api_test(parallel_env(SMALL, max_steps=20), num_cycles=100)
+    parallel_api_test(make(), num_cycles=100)
 
 
 def test_it_passes_the_parallel_seed_test():
-    parallel_seed_test(lambda: parallel_env(SMALL, max_steps=20))
+    parallel_seed_test(make)
+
+
+def test_it_passes_the_api_test_agent_by_agent():
+    with warnings.catch_warnings():  # of observations that are dictionaries
+        warnings.filterwarnings("ignore", "Observation", category=UserWarning)
+        api_test(make_aec(), num_cycles=100)
+
+
+def test_it_passes_the_seed_test_agent_by_agent():
+    seed_test(make_aec, num_cycles=100)
+
+
+def test_it_passes_the_render_test_agent_by_agent():
+    render_test(make_aec)
 
 
 @pytest.mark.parametrize(("reward", "shared"), [("case1", True), ("case2", False), ("team", True)])
@@ -188,9 +219,73 @@ def test_every_robot_needs_one_of_the_ten_actions(chosen, message):
         env.step(chosen)
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [np.int64, np.uint8, lambda n: np.array([n]), np.array, torch.tensor],
+    ids=["int64", "uint8", "array of one", "array", "tensor"],
+)
+def test_actions_and_seeds_may_be_integers_of_any_library(kind):
+    env, other = parallel_env(SMALL), parallel_env(SMALL, seed=kind(5))
+    assert np.array_equal(first_state(env, 5), first_state(other))
+    for seed in (7, 5):  # a seed leaves nothing behind that breaks later resets
+        assert np.array_equal(first_state(env, kind(seed)), first_state(other, seed))
+        assert np.array_equal(first_state(env), first_state(other))
+    for action in (1, 9, 8):
+        one = env.step({agent: kind(action) for agent in env.agents})
+        two = other.step(dict.fromkeys(other.agents, action))
+        assert one[1:4] == two[1:4]
+    assert np.array_equal(env.state(), other.state())
+
+
+def first_state(env, seed=None):
+    env.reset(seed)
+    return env.state()
+
+
+@pytest.mark.parametrize(
+    "seed", [-1, np.int64(-1), 1.5, np.float64(2), "x", 2**64, 2**70, True, np.array([1, 2])]
+)
+def test_other_seeds_are_refused_and_leave_the_episode(seed):
+    env, other = parallel_env(SMALL), parallel_env(SMALL)
+    env.reset(3), other.reset(3)
+    with pytest.raises(ValueError, match=r"seed=.* is not allowed: it must be an integer of at "):
+        env.reset(seed)
+    with pytest.raises(ValueError, match=r"seed=.* is not allowed: it must be an integer of at "):
+        parallel_env(SMALL, seed=seed)
+    stay = dict.fromkeys(env.agents, 8)
+    assert env.step(stay)[1:4] == other.step(stay)[1:4]
+    assert np.array_equal(first_state(env), first_state(other))
+
+
+FREE = {"obstacles": np.zeros((6, 5), bool), "positions": [[0, 0], [1, 1], [2, 2]]}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"positions": FREE["positions"]}, r"options=\['positions'\] is not allowed: give both"),
+        ({**FREE, "walls": 1}, r"options\['walls'\] is not allowed: use both of \('obstacles', "),
+        ({"obstacle": 1}, r"options\['obstacle'\] is not allowed"),
+        ({**FREE, "positions": [[0, 0]] * 3}, "holds more than one robot"),
+        ({**FREE, "positions": [[0, 0], [1, 1], [6, 0]]}, "outside the arena"),
+        ({**FREE, "positions": [[0, 0], [1, 1]]}, "position"),
+        ({**FREE, "obstacles": np.zeros((6, 5))}, "obstacles"),
+        ({**FREE, "obstacles": np.zeros((5, 6), bool)}, "obstacles"),
+    ],
+)
+def test_wrong_options_are_named_and_leave_the_episode(options, message):
+    env, other = parallel_env(SMALL), parallel_env(SMALL)
+    env.reset(3), other.reset(3)
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=9, options=options)
+    assert np.array_equal(env.state(), other.state())
+    assert np.array_equal(first_state(env), first_state(other))  # the numbering too
+
+
 def test_wrong_arguments_are_named():
-    with pytest.raises(ValueError, match="render_mode='human' is not allowed"):
-        parallel_env(SMALL, render_mode="human")
+    allowed = r"None or one of \('human', 'rgb_array', 'ansi'\)"
+    with pytest.raises(ValueError, match=f"render_mode='film' is not allowed: use {allowed}"):
+        parallel_env(SMALL, render_mode="film")
     with pytest.raises(ValueError, match="max_steps=0"):
         parallel_env(SMALL, max_steps=0)
     env = parallel_env(SMALL)
@@ -198,7 +293,3 @@ def test_wrong_arguments_are_named():
         env.step({})
     with pytest.raises(RuntimeError, match="call reset"):
         env.state()
-    with pytest.raises(ValueError, match=r"options=\['positions'\] is not allowed"):
-        env.reset(options={"positions": [[0, 0], [1, 1], [2, 2]]})
-    with pytest.raises(ValueError, match="holds more than one robot"):
-        env.reset(options={"obstacles": np.zeros((6, 5), bool), "positions": [[0, 0]] * 3})

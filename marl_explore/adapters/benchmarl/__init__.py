@@ -12,6 +12,10 @@ from functools import partial
 import torchrl.collectors
 from torchrl.modules import QValueModule
 
+from marl_explore.utils.extras import require_extra
+
+require_extra("benchmarl")
+
 torchrl.collectors.SyncDataCollector = torchrl.collectors.Collector  # its name up to TorchRL 0.11
 
 from benchmarl.algorithms import iql, qmix, vdn  # noqa: E402

@@ -28,7 +28,8 @@ torch.library.define(_OPERATOR, "(Tensor grid, Tensor position, int mode, bool r
 @torch.library.impl(_OPERATOR, "cpu")
 def _frontier_table(grid: Tensor, position: Tensor, mode: int, rows: bool) -> Tensor:
     height, width = grid.shape[-2:]
-    table = torch.empty(*grid.shape[:-2], NUM_DIRECTIONS, NUM_FEATURES)
+    size = (*grid.shape[:-2], NUM_DIRECTIONS, NUM_FEATURES)
+    table = torch.empty(size, dtype=torch.float32)  # what C writes, whatever torch's default
     grid, position = grid.contiguous(), position.contiguous()
     robots = position.shape[:-1].numel()
     function = native.kernel()

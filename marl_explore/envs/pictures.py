@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageColor
 from torch import Tensor
 
+from marl_explore.config.checks import require
 from marl_explore.core.grid import UNKNOWN
 from marl_explore.core.mapping import union_of
 from marl_explore.utils.palette import FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR, robot_color
 
 SIDE = 16
 """Pixels of a cell's side."""
+RenderMode = Literal["ansi", "rgb_array"]
+_MODES: tuple[RenderMode, ...] = get_args(RenderMode)
 _SYMBOLS = "?.#"
+
+
+def picture(maps: Tensor, position: Tensor, mode: RenderMode) -> str | NDArray[np.uint8]:
+    """The union of a team's maps, as ``ascii_picture`` or ``rgb_picture``.
+
+    Raises:
+        ValueError: for another mode.
+    """
+    require(mode in _MODES, "mode", mode, f"it must be one of {_MODES}")
+    return (ascii_picture if mode == "ansi" else rgb_picture)(maps, position)
 
 
 def ascii_picture(maps: Tensor, position: Tensor) -> str:
