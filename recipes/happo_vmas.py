@@ -38,9 +38,8 @@ class Arguments:
         require_integer("num_envs", self.num_envs, 1)
         require_integer("max_steps", self.max_steps, 1)
         require_package("vmas", 'pip install ".[lab]"')
-        scenarios = {path.stem for path in Path(str(files("vmas.scenarios"))).rglob("*.py")} - {
-            "__init__"
-        }
+        folder = Path(str(files("vmas.scenarios")))
+        scenarios = {path.stem for path in folder.rglob("*.py")} - {"__init__"}
         if self.scenario not in scenarios:
             raise ValueError(f"scenario={self.scenario!r} is not allowed: use {sorted(scenarios)}")
 
