@@ -19,7 +19,9 @@ from marl_explore.arenas import suite
 from marl_explore.evaluation.leaderboard import cells
 from marl_explore.policies.export import export_npz
 from marl_explore.policies.io import load_policy
-from marl_explore.robot import ExportedPolicy
+from marl_explore.robot import ExportedPolicy, Pose
+from marl_explore.robot.driving import Velocity
+from marl_explore.ros2.recordings import Recorder, messages
 from marl_explore.training.checkpoint import list_checkpoints, read_checkpoint
 from marl_explore.training.run_folder import read_config, read_record
 from marl_explore.training.seeds import SweepRecord, read_sweep
@@ -83,6 +85,7 @@ def _files(home: Path) -> dict[str, tuple[Path, Callable[[Path], Any], bool]]:
     SweepRecord((0, 1), 2).write(home)
     old = home / "old"
     shutil.copytree(folder, old)
+    (bag,) = _recording(home / "bag").glob("*.mcap")
     return {
         "a policy": (
             folder / "policy.safetensors",
@@ -95,8 +98,18 @@ def _files(home: Path) -> dict[str, tuple[Path, Callable[[Path], Any], bool]]:
         "config.json": (old / "config.json", lambda path: repr(read_config(path.parent)), False),
         "run.json": (old / "run.json", lambda path: repr(read_record(path.parent)), False),
         "sweep.json": (home / "sweep.json", lambda path: repr(read_sweep(path.parent)), False),
+        "a recording": (bag, lambda path: repr(list(messages(path.parent))), False),
         "a curve": (old / "scalars" / "reward.csv", lambda path: read_curve(path).tolist(), False),
     }
+
+
+def _recording(path: Path) -> Path:
+    """A short recording of a robot."""
+    with Recorder(path, ["robot_0", "robot_1"]) as recorder:
+        for second in range(50):
+            recorder.receive(0, Pose(float(second), 0, 0.1 * second, 0.5, 0.0), float(second))
+            recorder.answer(0, Velocity(0.1, 0.0), second + 0.5)
+    return path
 
 
 def _cell(path: Path, cell: cells.Cell) -> Any:

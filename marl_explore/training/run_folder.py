@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_explore.arenas import full_name
+from marl_explore.config.checks import require_integer
 from marl_explore.config.fields import check_types, read_fields
 from marl_explore.config.run import RunConfig
 from marl_explore.policies.migrate import migrated
@@ -96,7 +97,7 @@ def is_finished(folder: Path) -> bool:
     return record.finished and record.frames == config.updates * config.batch_frames
 
 
-def lengthen(folder: Path, episodes: int) -> None:
+def lengthen(folder: str | Path, episodes: int) -> None:
     """Make a run longer, whether it is finished or not; ``resume`` does the rest.
 
     The result is that of a run of this length from the start. With ``lr_decay`` it is not:
@@ -109,7 +110,9 @@ def lengthen(folder: Path, episodes: int) -> None:
     Raises:
         ValueError: for fewer episodes, when it is not a run folder, or another process owns it.
     """
+    folder = Path(folder)
     config = read_config(folder)
+    require_integer("episodes", episodes, 1)
     if episodes < config.episodes:
         raise ValueError(
             f"episodes={episodes} is not allowed: the run in {folder} has {config.episodes}, and "

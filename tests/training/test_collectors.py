@@ -19,7 +19,7 @@ from torchrl.envs import ExplorationType, set_exploration_type
 from marl_explore.config.run import RunConfig
 from marl_explore.policies.actors import TeamActor
 from marl_explore.policies.networks import MLP, OBSERVATION_KEYS
-from marl_explore.training import runs, trainer
+from marl_explore.training import clusters, runs, trainer
 from marl_explore.training.checkpoint import list_checkpoints, read_checkpoint, write_checkpoint
 from marl_explore.training.collectors import make_collector
 from marl_explore.training.environment import make_training_env

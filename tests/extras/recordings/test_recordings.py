@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -135,3 +137,26 @@ def test_what_is_no_recording_is_refused(tmp_path):
         recorder.receive(0, Pose(0.0, 0, 0.0, 0.0, 0.0), 0.0)
     with pytest.raises(ValueError, match="no /robot_0/cmd_vel"):
         replay_recording(tmp_path / "bag", reborn(0, seed=0), TEAM)
+
+
+def test_recordings_that_cannot_be_read_are_named(team, tmp_path):
+    path, _ = team
+    whole = {file.name: file.read_bytes() for file in path.iterdir()}
+    draw, refused, copy = random.Random(0), 0, tmp_path / "copy"
+    copy.mkdir()
+    for _ in range(60):
+        for name, content in whole.items():
+            (copy / name).write_bytes(content)
+        name = draw.choice([*whole])
+        damaged = bytearray(whole[name])
+        if draw.random() < 0.3:
+            del damaged[draw.randrange(len(damaged)) :]
+        else:
+            damaged[draw.randrange(len(damaged))] ^= 1 << draw.randrange(8)
+        (copy / name).write_bytes(damaged)
+        try:
+            for _ in messages(copy):
+                pass
+        except ValueError as error:
+            refused += str(copy) in str(error)
+    assert refused >= 20  # the other bits are numbers of messages
