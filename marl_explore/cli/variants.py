@@ -1,6 +1,6 @@
 """Compare variants of training runs with a baseline, over training seeds: a table, and a figure.
 
-marl-explore variants case2=runs/case2 literal=runs/literal gamma=runs/a,runs/b random
+marl-explore variants case2=runs/case2 lone-idle=runs/lone-idle gamma=runs/a,runs/b random
 
 The first entry is the baseline. Each entry is the folder of a sweep over seeds (``marl-explore
 train --seeds``), runs RUN,RUN,... that differ only in the seed, or a planner. As in the paper,

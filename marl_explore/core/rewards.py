@@ -1,4 +1,4 @@
-"""The paper's two rewards, their literal variant, and the team reward (docs/environment.md)."""
+"""The paper's two rewards, a variant of the second, and the team's (docs/environment.md)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def case2(step: StepRecord) -> Tensor:
     return reward.masked_fill_((step.action == COMMUNICATE) & ~step.merged, 0.0)
 
 
-def case2_literal(step: StepRecord) -> Tensor:
+def case2_lone_idle(step: StepRecord) -> Tensor:
     """As ``case2``, but a robot that communicates alone shares no data and counts as idle."""
     return _case2(step, idle=(step.action == STAY) | (step.action == COMMUNICATE))
 
@@ -117,7 +117,7 @@ def _less_prices(growth: Tensor, step: StepRecord) -> Tensor:
 REWARDS: dict[str, Reward] = {
     "case1": case1,
     "case2": case2,
-    "case2-literal": case2_literal,
+    "case2-lone-idle": case2_lone_idle,
     "team": team,
     "progress": progress,
 }

@@ -17,6 +17,8 @@ RENAMED = {
     "minibatches": "num_minibatches",
 }
 """Settings that have been renamed."""
+REWARDS = {"case2-literal": "case2-lone-idle"}
+"""Rewards that have been renamed."""
 OPTIONS = {
     "mlp": ("hidden", "norm_last"),
     "cnn": (),
@@ -50,4 +52,6 @@ def migrated(fields: Mapping[str, Any]) -> dict[str, Any]:
         options = {"hidden": old["hidden"][-1], "state_hidden": old["hidden"]}
     for name in {name for names in OPTIONS.values() for name in names} & set(old):
         del old[name]
+    if str(old.get("reward")) in REWARDS:
+        old["reward"] = REWARDS[old["reward"]]
     return {RENAMED.get(name, name): value for name, value in old.items()} | {"options": options}

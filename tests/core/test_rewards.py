@@ -11,7 +11,7 @@ from marl_explore.core.rewards import (
     StepRecord,
     case1,
     case2,
-    case2_literal,
+    case2_lone_idle,
     progress,
     resolve,
     team,
@@ -72,36 +72,36 @@ def test_case1_punishes_danger_with_100():
 # ---------------------------------------------------------------- case 2
 
 
-@pytest.mark.parametrize("reward", [case2, case2_literal])
+@pytest.mark.parametrize("reward", [case2, case2_lone_idle])
 def test_case2_pays_discoveries_as_a_share_of_the_most_one_move_can_bring(reward):
     step = record("N SE W", discovered=[5, 3, 0])
     assert_rewards(reward, step, [1.0, 0.6, 0.0])
     assert_rewards(reward, step._replace(max_discovery=9), [5 / 9, 3 / 9, 0.0])
 
 
-@pytest.mark.parametrize("reward", [case2, case2_literal])
+@pytest.mark.parametrize("reward", [case2, case2_lone_idle])
 def test_case2_takes_1_for_staying(reward):
     assert_rewards(reward, record("stay N"), [-1.0, 0.0])
 
 
-@pytest.mark.parametrize("reward", [case2, case2_literal])
+@pytest.mark.parametrize("reward", [case2, case2_lone_idle])
 def test_case2_punishes_danger_with_10(reward):
     assert_rewards(reward, record("N E", dangerous=[True, False]), [-10.0, 0.0])
 
 
-def test_a_lone_communicator_is_idle_only_in_case2_literal():
+def test_a_lone_communicator_is_idle_only_in_case2_lone_idle():
     step = record("talk")
     assert_rewards(case2, step, [0.0])
-    assert_rewards(case2_literal, step, [-1.0])
+    assert_rewards(case2_lone_idle, step, [-1.0])
 
 
 def test_a_lone_communicator_gets_nothing_even_for_discoveries():
     """It cannot discover in an episode, but a state that is set by hand may leave cells to see."""
     assert_rewards(case2, record("talk", discovered=[3]), [0.0])
-    assert_rewards(case2_literal, record("talk", discovered=[3]), [3 / 5 - 1])
+    assert_rewards(case2_lone_idle, record("talk", discovered=[3]), [3 / 5 - 1])
 
 
-@pytest.mark.parametrize("reward", [case2, case2_literal])
+@pytest.mark.parametrize("reward", [case2, case2_lone_idle])
 def test_case2_pays_a_merge_by_what_it_brought_and_what_was_new_to_the_others(reward):
     step = record("talk talk talk E", **MERGE_OF_THREE)
     expected = [
@@ -189,7 +189,7 @@ def test_the_rewards_of_a_step_on_a_drawn_board():
     first, second = (0.8 + 6 / 48) * 6 / 48, (0.8 + 9 / 48) * 3 / 48
     assert_rewards(case1, step, [6.0, 3.0, -100.0, 3.0, 0.0])
     assert_rewards(case2, step, [first, second, -10.0, 3 / 5, -1.0])
-    assert_rewards(case2_literal, step, [first, second, -10.0, 3 / 5, -1.0])
+    assert_rewards(case2_lone_idle, step, [first, second, -10.0, 3 / 5, -1.0])
     # the largest map had 9 cells and has 12
     assert_rewards(team, step, [3 / 40 - 0.1 - 0.25 / 5] * 5)
 
@@ -211,7 +211,7 @@ def test_q_counts_only_since_the_last_merge():
 # ---------------------------------------------------------------- names
 
 
-@pytest.mark.parametrize("name", ["case1", "case2", "case2-literal", "team", "progress"])
+@pytest.mark.parametrize("name", ["case1", "case2", "case2-lone-idle", "team", "progress"])
 def test_a_reward_has_a_name(name):
     assert resolve(name) is REWARDS[name]
 
@@ -224,5 +224,5 @@ def test_a_callable_is_its_own_reward():
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"'case3'.*case1.*case2.*case2-literal.*team"):
+    with pytest.raises(ValueError, match=r"'case3'.*case1.*case2.*case2-lone-idle.*team"):
         resolve("case3")

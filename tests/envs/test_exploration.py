@@ -464,7 +464,7 @@ def test_merging_is_reported_to_the_robots_in_the_network():
         ({"max_steps": 0}, "max_steps=0"),
         ({"first_arena": -1}, "first_arena=-1"),
         ({"terminate_at_coverage": 1.5}, "terminate_at_coverage=1.5"),
-        ({"reward": "case3"}, "reward='case3' is unknown.*case2-literal"),
+        ({"reward": "case3"}, "reward='case3' is unknown.*case2-lone-idle"),
         ({"arenas": "caves"}, "arenas='caves' is not a suite.*uniform"),
         ({"seed": 1.5}, "seed=1.5"),
         ({"stream": 3}, "stream=3"),

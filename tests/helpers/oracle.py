@@ -344,7 +344,7 @@ def step(rules, state, actions) -> tuple[State, Step]:
     rewards = {
         "case1": [case1(state, new, i, dangerous) for i in robots],
         "case2": [case2(rules, state, new, i, actions, dangerous, peers, False) for i in robots],
-        "case2-literal": [
+        "case2-lone-idle": [
             case2(rules, state, new, i, actions, dangerous, peers, True) for i in robots
         ],
         "team": [team(state, new, dangerous) for _ in robots],
@@ -369,7 +369,7 @@ def case1(before, after, i, dangerous) -> float:
     return float(known_cells(after.maps[i]) - known_cells(before.maps[i]))
 
 
-def case2(rules, before, after, i, actions, dangerous, peers, literal) -> float:
+def case2(rules, before, after, i, actions, dangerous, peers, lone_idle) -> float:
     """The second reward of robot i, `after` still holding q before its reset (Rewards)."""
     if dangerous[i]:
         return -10.0
@@ -378,10 +378,10 @@ def case2(rules, before, after, i, actions, dangerous, peers, literal) -> float:
     if peers[i]:
         mean_unshared = sum(after.unshared[i][j] for j in peers[i]) / len(peers[i])
         return (0.8 + mean_unshared / area) * gain / area
-    if actions[i] == COMMUNICATE and not literal:
+    if actions[i] == COMMUNICATE and not lone_idle:
         return 0.0
     e_max = 4 * rules.fov_radius + 1
-    idle = actions[i] in (STAY, COMMUNICATE)  # a lone communicator comes here only if literal
+    idle = actions[i] in (STAY, COMMUNICATE)  # a lone communicator comes here only if it is idle
     return gain / e_max - (1.0 if idle else 0.0)
 
 

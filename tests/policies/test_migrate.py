@@ -69,3 +69,8 @@ def test_options_go_to_the_network(changes, network):
 def test_settings_of_today_are_left_alone():
     told = json.loads(json.dumps(TrainConfig().to_json()))
     assert migrated(told) == told
+
+
+def test_rewards_of_0_1_have_todays_names():
+    old = {"architecture": "mlp", "hidden": [8], "reward": "case2-literal"}
+    assert migrated(old)["reward"] == "case2-lone-idle"
