@@ -2,8 +2,9 @@
 
 marl-explore lab runs/my-run --out lab
 
-It needs ``pip install ".[lab]"``. Writes the paper's lab figure (best and merged map over steps)
-and the measurements; docs/robots.md explains them.
+It needs ``pip install ".[lab]"``. Writes the paper's lab figures (best and merged map over steps;
+of the first arena, each robot's explored area beside the view from above) and the measurements;
+docs/robots.md explains them.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Arguments:
     picture: bool = False
     """Whether to write arena.png too, the first arena at the end; needs OpenGL (EGL)."""
     out: Path = Path("lab")
-    """New folder for lab.png and lab.json."""
+    """New folder for lab.png, explored.png and lab.json."""
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -67,7 +68,7 @@ def run(arguments: Arguments) -> None:
 
     from marl_explore import ExplorationEnv, load_policy
     from marl_explore.evaluation.episodes import TEST_STREAM
-    from marl_explore.evaluation.plots import lab_figure
+    from marl_explore.evaluation.plots import explored_figure, lab_figure
     from marl_explore.lab import LabRunner, Noise
     from marl_explore.utils import records
 
@@ -86,6 +87,8 @@ def run(arguments: Arguments) -> None:
     if arguments.picture:
         image.imsave(folder / "arena.png", lab.world.render())
     lab_figure(explored.coverage(), folder / "lab.png")
+    first = explored.obstacles[0], explored.maps[0], explored.cells[0]
+    explored_figure(*first, folder / "explored.png")
     summary = explored.summary()
     coverage = {name: curve.mean(0).tolist() for name, curve in explored.coverage().items()}
     settings = record["settings"] | {"out": str(arguments.out)}

@@ -237,3 +237,25 @@ def test_a_robot_with_a_complete_map_is_said_to_know_all_of_it(drawn):
     policy = find_policy("nearest", arenas.config)
     plots.episode_figure(watch(policy, None, steps=60, arenas=arenas), "unused")
     assert drawn[0].axes[1].get_title() == "robot 0: 100% known"
+
+
+def test_the_explored_area_has_the_colour_of_whom_was_first_there(drawn):
+    steps = an_episode(5)
+    maps, cells = (torch.stack([s["agents", k][0] for s in steps]) for k in ("map", "position"))
+    plots.explored_figure(steps[0]["obstacles"][0], maps, cells, "unused", moments=2)
+    for column, time in enumerate((0, 5)):
+        shown = drawn[0].axes[2 + column].images[0].get_array()
+        for row in range(SMALL.height):
+            for cell in range(SMALL.width):
+                known = (maps[: time + 1, :, row, cell] >= 0).int()
+                color = tuple(round(255 * part) for part in shown[row, cell].tolist())
+                if not known.any():
+                    assert "#{:02X}{:02X}{:02X}".format(*color) == UNKNOWN_COLOR
+                elif not steps[0]["obstacles"][0, row, cell]:
+                    when = known.argmax(0).masked_fill(~known.bool().any(0), 99)
+                    own = robot_color(int(when.argmin()))
+                    pale = [
+                        round(255 * (0.75 + 0.25 * int(own[i : i + 2], 16) / 255))
+                        for i in (1, 3, 5)
+                    ]
+                    assert color == pytest.approx(pale, abs=1)

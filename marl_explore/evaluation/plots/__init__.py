@@ -5,7 +5,11 @@ The file's ending, such as .png, .svg or .pdf, selects the format.
 
 from __future__ import annotations
 
-from marl_explore.evaluation.plots.episodes import episode_animation, episode_figure
+from marl_explore.evaluation.plots.episodes import (
+    episode_animation,
+    episode_figure,
+    explored_figure,
+)
 from marl_explore.evaluation.plots.evaluation import (
     communication_figure,
     coverage_figure,
@@ -27,6 +31,7 @@ __all__ = [
     "enlargement_figure",
     "episode_animation",
     "episode_figure",
+    "explored_figure",
     "lab_figure",
     "seeds_figure",
     "tradeoff_figure",

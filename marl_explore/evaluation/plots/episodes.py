@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from tensordict import TensorDictBase
+from torch import Tensor
 from tqdm import tqdm
 
 from marl_explore.core.mapping import target_cells
@@ -99,6 +100,46 @@ def episode_figure(steps: Sequence[TensorDictBase], path: str | Path, arena: int
     with matplotlib.rc_context(STYLE):
         figure, draw = _panels(frames)
         draw(len(frames) - 1)
+        return save(figure, path)
+
+
+def explored_figure(
+    obstacles: Tensor, maps: Tensor, cells: Tensor, path: str | Path, moments: int = 4
+) -> Path:
+    """Who explored what: the arena from above, over the cells that each robot was first to know.
+
+    Args:
+        obstacles: bool [H, W].
+        maps: every robot's map over the steps, int8 [T + 1, N, H, W].
+        cells: the robots' cells over the steps, int64 [T + 1, N, 2].
+        path: image file to write.
+        moments: number of times to show, from the start to the last step.
+    """
+    times = np.linspace(0, len(maps) - 1, moments).round().astype(int)
+    robots, (height, wide) = cells.shape[1], obstacles.shape
+    shape = height, wide
+    colors = [robot_color(robot) for robot in range(robots)]
+    known = maps.numpy() >= 0
+    first = np.where(known.any(0), known.argmax(0), len(maps))  # step of every robot and cell
+    owner, when = first.argmin(0), first.min(0)
+    shades = np.array([to_rgb(_pale(color)) for color in colors])
+    with matplotlib.rc_context(STYLE):
+        width = PANEL_WIDTH * moments
+        figure = Figure(figsize=(width, 2 * PANEL_WIDTH + 0.6), layout="constrained")
+        axes = figure.subplots(2, moments, squeeze=False)
+        for time, (above, below) in zip(times, axes.T, strict=True):
+            trails = [*cells[: time + 1].movedim(1, 0).numpy()]
+            _Panel(above, shape, colors, "").draw(
+                obstacles.numpy().astype(int), trails, [False] * robots, f"step {time}"
+            )
+            explored = np.where((when <= time)[..., None], shades[owner], to_rgb(UNKNOWN_COLOR))
+            explored[(when <= time) & obstacles.numpy()] = to_rgb(OBSTACLE_COLOR)
+            share = (when <= time).mean()
+            panel = _Panel(below, shape, colors, "")
+            panel.draw(np.zeros(shape), trails, [False] * robots, f"{share:.0%} of all cells known")
+            panel.image.set_data(explored)
+        axes[0, 0].set_ylabel("from above")
+        axes[1, 0].set_ylabel("explored by")
         return save(figure, path)
 
 

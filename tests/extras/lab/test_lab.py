@@ -164,6 +164,7 @@ def test_the_recipe_draws_the_papers_figure(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "lab" / "lab.png").is_file()
+    assert (tmp_path / "lab" / "explored.png").is_file()
     assert (tmp_path / "lab" / "arena.png").is_file()
     content = json.loads((tmp_path / "lab" / "lab.json").read_text())
     assert content["summary"]["wrong cells"] == 0
