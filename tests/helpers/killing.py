@@ -35,7 +35,7 @@ MOMENTS = {
 """Functions during whose n-th call a run may be killed."""
 
 SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["tests.killing"])
+SERVER.set_forkserver_preload(["tests.helpers.killing"])
 
 
 def go_on(folder: Path, moment: str | None = None, call: int = 1) -> None:
