@@ -233,7 +233,7 @@ def test_leaderboard_goes_on_where_it_was(tmp_path):
     (old,) = (board / "cells").iterdir()
     kept = old.stat().st_mtime_ns
 
-    done = recipe("leaderboard.py", "nearest", "two=random,nearest-timer", *small, cwd=tmp_path)
+    done = recipe("leaderboard.py", "nearest", "two=best,best:argmax", *small, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert old.stat().st_mtime_ns == kept  # read, not measured again
     assert len(list((board / "cells").iterdir())) == 6
@@ -246,7 +246,7 @@ def test_leaderboard_goes_on_where_it_was(tmp_path):
     }
     page = (board / "report.html").read_text()
     assert "corridor-24-v1: 2 arenas, 20 steps" in page
-    assert "two=random,nearest-timer" in page
+    assert "two=best,best:argmax" in page
 
     refused = recipe("leaderboard.py", "nearest", *small, "--seed", "5", cwd=tmp_path)
     assert refused.returncode == 1
@@ -397,7 +397,7 @@ def test_help(name):
         (["train.py", "fast", "--seeds", "4-"], "seeds='4-' is not allowed"),
         (["train.py", "fast", "--jobs", "0"], "jobs=0"),
         (["train.py", "resume", "nowhere"], "nowhere is not a run folder"),
-        (["paper.py", "mlp-case1=run"], "policies=['mlp-case1'] is not allowed"),
+        (["paper.py", "mlp=run"], "policies=['mlp'] is not allowed"),
         (["variants.py"], "name at least one training"),
         (["variants.py", "random"], "'random' is a planner: the baseline must be a trained"),
         (["variants.py", "a=best", "a=paper-cnn-case2"], "policies='a' is given twice"),

@@ -71,8 +71,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         CheckpointError: when the file is not a checkpoint, or is truncated or damaged.
     """
     texts, tensors = read_tensors(path, (FORMAT,), "checkpoint", error=CheckpointError)
-    state = _put_tensors(parse_object(texts.get("structure", ""), f"{path}"), tensors)
-    return cast(dict[str, Any], state)
+    try:
+        structure = parse_object(texts.get("structure", ""), str(path))
+    except ValueError as error:
+        raise CheckpointError(str(error)) from error
+    return cast(dict[str, Any], _put_tensors(structure, tensors))
 
 
 def _take_tensors(value: Any, tensors: dict[str, Tensor], path: str = "") -> Any:

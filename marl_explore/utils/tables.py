@@ -57,7 +57,7 @@ def markdown(header: Sequence[str], *blocks: Sequence[Sequence[str]]) -> str:
 
 def _as_it_is(cell: str) -> str:
     """Text without meaning in Markdown: no markup, HTML, link or new line."""
-    escaped = re.sub(r"[\\`*_|<>~&]|\](?=[(\[:])", r"\\\g<0>", cell)
+    escaped = re.sub(r"[\\`*|<>~&]|(?<!\w)_|_(?!\w)|\](?=[(\[:])", r"\\\g<0>", cell)
     return " ".join(escaped.split())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import json
 import math
 from dataclasses import replace
@@ -121,7 +122,9 @@ def test_a_cell_of_other_code_is_measured_anew(tmp_path, monkeypatch):
     new = leaderboard.make_cells(tmp_path, [CELL], progress=False)[CELL]
     assert new["settings"]["code"] == "other"
     assert new["scores"] != old["scores"]
-    assert json.loads((tmp_path / CELL.file_name).read_text()) == new
+    written = json.loads((tmp_path / CELL.file_name).read_text())
+    assert written.pop("sha256")
+    assert written == new
 
 
 def test_the_code_of_a_cell_is_what_it_does_and_not_what_it_says(tmp_path):
@@ -175,8 +178,40 @@ def test_the_bound_is_a_reference_without_episodes(tmp_path):
 @pytest.mark.parametrize("content", ["", "[]", "{}"])
 def test_a_file_that_is_no_cell_is_refused(tmp_path, content):
     (tmp_path / CELL.file_name).write_text(content)
-    with pytest.raises(ValueError, match="is not a leaderboard cell: delete it"):
+    with pytest.raises(ValueError, match="is not a leaderboard cell, or is damaged: delete"):
         leaderboard.make_cells(tmp_path, [CELL], progress=False)
+
+
+def test_a_cell_that_was_changed_is_refused(tmp_path):
+    leaderboard.make_cells(tmp_path, [CELL], progress=False)
+    path = tmp_path / CELL.file_name
+    content = json.loads(path.read_text())
+    content["scores"]["steps_to_100"][0] += 1
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=f"{path} .* do not match its SHA-256"):
+        leaderboard.make_cells(tmp_path, [CELL], progress=False)
+
+
+@pytest.mark.parametrize("word", ["a=random,nearest", "a=best,random", "a=bound,best"])
+def test_planners_are_no_training_seeds(word):
+    with pytest.raises(ValueError, match="is not trained, so it cannot be one of several"):
+        leaderboard.parse_entries([word])
+
+
+def test_an_evaluation_leaves_nothing_behind():
+    policy = PLANNERS["nearest-timer"](CELL.suite.config)
+
+    def evaluate():
+        record(policy, CELL.suite.config, num_arenas=1, steps=2, arenas=CELL.suite.arenas)
+
+    for _ in range(10):
+        evaluate()
+    gc.collect()
+    before = len(gc.get_objects())
+    for _ in range(20):
+        evaluate()
+    gc.collect()
+    assert len(gc.get_objects()) - before < 20
 
 
 def test_an_unknown_policy_is_refused_before_anything_is_written(tmp_path):

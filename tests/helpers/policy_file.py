@@ -9,7 +9,7 @@ import numpy as np
 
 from marl_explore import ArenaConfig
 from marl_explore.config.constants import COMMUNICATE
-from marl_explore.robot.policy import FORMAT
+from marl_explore.robot.policy import FORMAT, save_arrays
 
 
 def policy_file(folder, robots=4, seed=0, talkative=0.0, **arena):
@@ -20,7 +20,7 @@ def policy_file(folder, robots=4, seed=0, talkative=0.0, **arena):
     chance = np.random.default_rng(seed)
     config = ArenaConfig(num_agents=robots, **arena)
     spec = {"format": FORMAT, "arena": asdict(config), "twin": "mlp", "fpr": "proximity"}
-    arrays = {"spec": np.array(json.dumps(spec | {"ablate": []}))}
+    arrays = {}
     inputs = (2 * config.fov_radius + 1) ** 2 + 24 + robots
     for robot in range(robots):
         for name, shape in (("layers.0", (16, inputs)), ("layers.2", (10, 16))):
@@ -29,5 +29,6 @@ def policy_file(folder, robots=4, seed=0, talkative=0.0, **arena):
             arrays[f"{robot}.actor.{name}.bias"] = np.zeros(shape[0], np.float32)
         arrays[f"{robot}.actor.layers.2.bias"][COMMUNICATE] = talkative
     path = folder / "policy.npz"
-    np.savez(path, **arrays)
+    with path.open("wb") as file:
+        save_arrays(file, json.dumps(spec | {"ablate": []}), arrays)
     return path

@@ -16,9 +16,10 @@ import torch
 from marl_explore.config.run import RunConfig, parse_seeds
 from marl_explore.policies.io import load_policy
 from marl_explore.training import runs, seeds
-from marl_explore.training.run_folder import is_finished
+from marl_explore.training.run_folder import RunRecord, is_finished, prepare
 from marl_explore.utils import records
 from marl_explore.utils.interrupts import RunInterruptedError
+from tests.helpers.configs import TINY
 from tests.helpers.killing import CONFIG, RUN
 
 
@@ -102,8 +103,8 @@ def test_wrong_settings_are_refused_before_a_folder_is_made(tmp_path):
 @pytest.mark.parametrize(
     ("numbers", "jobs", "message"),
     [
-        ([], None, r"seeds=\[\] is not allowed"),
-        ([1, 0, 1], None, r"seeds=\[1, 0, 1\] is not allowed"),
+        ([], None, r"seeds=\(\) is not allowed"),
+        ([1, 0, 1], None, r"seeds=\(1, 0, 1\) is not allowed"),
         ([0], 0, "jobs=0 is not allowed"),
     ],
 )
@@ -114,13 +115,13 @@ def test_wrong_arguments_are_refused_before_a_folder_is_made(tmp_path, numbers, 
 
 
 def test_a_run_that_was_stopped_is_not_done(tmp_path, monkeypatch):
-    def stopped(folder):
+    def stopped(folder, **_):
         raise RunInterruptedError(signal.SIGTERM, "go on with it")
 
     monkeypatch.setattr(seeds, "detach", lambda: None)
     monkeypatch.setattr(runs, "resume", stopped)
     with pytest.raises(SystemExit) as ended:
-        seeds._run_one(tmp_path / "seed-0")
+        seeds._run_one(tmp_path / "seed-0", None)
     assert ended.value.code == 128 + signal.SIGTERM
     assert "stopped by SIGTERM" in (tmp_path / "seed-0.log").read_text()
 
@@ -136,9 +137,10 @@ def test_one_seed_says_nothing_of_others(tmp_path):
 
 def test_the_runs_of_a_sweep_are_known_once_all_are_finished(tmp_path):
     folder = tmp_path / "sweep"
+    frames = TINY.updates * TINY.batch_frames
     for seed, finished in ((0, True), (7, False), (9, False)):
-        (folder / f"seed-{seed}").mkdir(parents=True)
-        records.write_json(folder / f"seed-{seed}" / "run.json", {"finished": finished})
+        run = prepare(replace(TINY, seed=seed), folder / f"seed-{seed}", RunConfig())
+        RunRecord(RunConfig(), finished=finished, frames=frames).write(run)
     assert seeds.seed_runs(folder) == [str(folder)]  # as yet it is no sweep
     records.write_json(folder / "sweep.json", {"seeds": [0, 7, 9]})
     with pytest.raises(ValueError, match=r"seeds \[7, 9\] of the sweep in .* are not finished"):

@@ -33,7 +33,7 @@ def parse_entries(words: Sequence[str]) -> list[Entry]:
         if not name or not all(entry.policies):
             raise ValueError(f"policies={word!r} is not allowed: use NAME=POLICY,POLICY,...")
         if len(set(entry.policies)) < len(entry.policies):
-            raise ValueError(f"policies={word!r} is not allowed: name every policy only once")
+            raise ValueError(f"policies={word!r} is not allowed: each may appear only once")
         untrained = [policy for policy in entry.policies if policy in (*PLANNERS, BOUND)]
         if untrained and len(entry.policies) > 1:
             raise ValueError(
