@@ -91,9 +91,10 @@ def _differences(whole: dict[str, str], there: dict[str, str], where: str) -> li
 
 
 def _text(value: object) -> str:
-    """A nested state as text, tensors with all their bytes."""
+    """A nested state as text, keys in order, tensors with all their bytes."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{k}: {_text(v)}" for k, v in value.items()) + "}"
+        entries = sorted(value.items(), key=lambda entry: str(entry[0]))
+        return "{" + ", ".join(f"{k}: {_text(v)}" for k, v in entries) + "}"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_text, value)) + "]"
     if hasattr(value, "numpy"):

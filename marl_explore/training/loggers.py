@@ -64,6 +64,14 @@ class Loggers:
         for logger in self._loggers:
             logger.log_hparams(_flat(settings))
 
+    def close(self) -> None:
+        """Close the CSV files; what a full disk could not take is dropped by ``resume``."""
+        files = self._loggers[0].experiment.files
+        for file in files.values():
+            with suppress(OSError):
+                file.close()
+        files.clear()
+
     def log(self, metrics: Mapping[str, float], frames: int) -> None:
         """Write the metrics of an update.
 

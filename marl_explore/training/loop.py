@@ -34,7 +34,11 @@ def run_training(trainer: Trainer, validation: Validation, progress: bool | Repo
     settings = trainer.config.to_json() | {"execution": asdict(run)}
     loggers = Loggers(run.logger, folder, settings, trainer.frames)
     steps = trainer.config.updates * trainer.config.batch_frames
-    with deferred() as request, closing(Progress(progress, trainer.frames, steps)) as shown:
+    with (
+        closing(loggers),
+        deferred() as request,
+        closing(Progress(progress, trainer.frames, steps)) as shown,
+    ):
         try:
             _loop(trainer, validation, loggers, request, shown)
         except FloatingPointError as error:  # also from the loss

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import multiprocessing
 import os
@@ -178,3 +179,19 @@ def test_a_sweep_can_be_made_longer(tmp_path):
         folder = tmp_path / "sweep" / f"seed-{seed}"
         assert is_finished(folder)
         assert len((folder / "scalars" / "reward.csv").read_text().splitlines()) == TINY.updates
+
+
+def test_a_full_disk_under_a_curve_is_one_error(tmp_path, capfd):
+    folder = prepare(TINY, tmp_path / "run", RunConfig())
+    log = loggers.Loggers("csv", folder, {}, 0)
+    log.log({"reward": 1.0}, 10)
+    files = log._loggers[0].experiment.files
+    (path,) = files
+    files[path].close()
+    files[path] = open("/dev/full", "a")  # noqa: SIM115 - as TorchRL's logger holds it
+    with pytest.raises(OSError, match=f"No space left on device: '{path}'"):
+        log.log({"reward": 2.0}, 20)
+    log.close()
+    del log
+    gc.collect()
+    assert "Traceback" not in capfd.readouterr().err
