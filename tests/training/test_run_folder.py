@@ -186,7 +186,7 @@ def test_a_full_disk_under_a_curve_is_one_error(tmp_path, capfd):
     log = loggers.Loggers("csv", folder, {}, 0)
     log.log({"reward": 1.0}, 10)
     files = log._loggers[0].experiment.files
-    (path,) = files
+    path = str(folder / "scalars" / "reward.csv")
     files[path].close()
     files[path] = open("/dev/full", "a")  # noqa: SIM115 - as TorchRL's logger holds it
     with pytest.raises(OSError, match=f"No space left on device: '{path}'"):
