@@ -7,6 +7,7 @@ import torch
 
 from benchmarks import curves, environment, frontier, locks, scaling, training
 from benchmarks.baselines import astar_table, bfs_table
+from benchmarks.faults import lines, mutants
 from marl_explore.core.frontier import feature_table
 from marl_explore.policies.networks import MLP
 from marl_explore.robot.agreement import Way, agree
@@ -101,3 +102,16 @@ def test_without_locks_a_diagonal_is_driven_by_a_cell_that_is_held():
     intents = {0: north_east, 1: beside, **contenders}
     assert set(agree(intents).values()) == {Way(())}
     assert locks.unlocked(intents) == agree(intents) | {0: Way(((0, 1), (0, 2)))}
+
+
+def test_faults_on_purpose_find_nothing(capsys):
+    assert mutants.mutate_files(4) == []
+    assert lines.refuse_lines(8) == []
+    assert len(lines.wrong_lines()) > 400
+    assert "command lines: 8, 0 faults" in capsys.readouterr().out
+
+
+def test_a_wrong_line_that_is_accepted_is_a_fault(monkeypatch):
+    monkeypatch.setattr(lines, "GIANT", (("--version",),))
+    (fault,) = lines.refuse_lines(1)
+    assert fault.startswith("'--version': 0")

@@ -7,6 +7,7 @@ import random
 import shutil
 import tempfile
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,6 @@ from marl_explore.policies.export import export_npz
 from marl_explore.policies.io import load_policy
 from marl_explore.robot import ExportedPolicy, Pose
 from marl_explore.robot.driving import Velocity
-from marl_explore.ros2.recordings import Recorder, messages
 from marl_explore.training.checkpoint import list_checkpoints, read_checkpoint
 from marl_explore.training.run_folder import read_config, read_record
 from marl_explore.training.seeds import SweepRecord, read_sweep
@@ -85,8 +85,7 @@ def _files(home: Path) -> dict[str, tuple[Path, Callable[[Path], Any], bool]]:
     SweepRecord((0, 1), 2).write(home)
     old = home / "old"
     shutil.copytree(folder, old)
-    (bag,) = _recording(home / "bag").glob("*.mcap")
-    return {
+    files = {
         "a policy": (
             folder / "policy.safetensors",
             lambda path: load_policy(path).state_dict(),
@@ -98,18 +97,24 @@ def _files(home: Path) -> dict[str, tuple[Path, Callable[[Path], Any], bool]]:
         "config.json": (old / "config.json", lambda path: repr(read_config(path.parent)), False),
         "run.json": (old / "run.json", lambda path: repr(read_record(path.parent)), False),
         "sweep.json": (home / "sweep.json", lambda path: repr(read_sweep(path.parent)), False),
-        "a recording": (bag, lambda path: repr(list(messages(path.parent))), False),
         "a curve": (old / "scalars" / "reward.csv", lambda path: read_curve(path).tolist(), False),
     }
+    if find_spec("rosbags") is None:
+        print("mutants of a recording: not tested without the extra ros")
+        return files
+    return files | {"a recording": _recording(home / "bag")}
 
 
-def _recording(path: Path) -> Path:
-    """A short recording of a robot."""
+def _recording(path: Path) -> tuple[Path, Callable[[Path], Any], bool]:
+    """A short recording of a robot; as in ``_files``."""
+    from marl_explore.ros2.recordings import Recorder, messages
+
     with Recorder(path, ["robot_0", "robot_1"]) as recorder:
         for second in range(50):
             recorder.receive(0, Pose(float(second), 0, 0.1 * second, 0.5, 0.0), float(second))
             recorder.answer(0, Velocity(0.1, 0.0), second + 0.5)
-    return path
+    (bag,) = path.glob("*.mcap")
+    return bag, lambda file: repr(list(messages(file.parent))), False
 
 
 def _cell(path: Path, cell: cells.Cell) -> Any:

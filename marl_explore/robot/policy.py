@@ -126,7 +126,8 @@ class ExportedPolicy:
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # opened here, since numpy leaves a damaged archive open
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         signed = str(arrays.pop("sha256", None))
         spec = parse_object(str(arrays["spec"]), "its spec")
