@@ -184,7 +184,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
             raise RuntimeError("no episode is in progress: call reset() first")
         if strangers := set(actions).difference(self.agents):
             raise ValueError(
-                f"actions of {sorted(strangers)} are not allowed: the robots are {self.agents}"
+                f"actions of {sorted(strangers, key=str)} are not allowed: the robots are "
+                f"{self.agents}"
             )
         chosen = [_checked(agent, actions.get(agent)) for agent in self.agents]
         before = self._current.select("obstacles", "step_count", "agents", strict=False)

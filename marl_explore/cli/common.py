@@ -193,6 +193,10 @@ def run_program(parse: Callable[[], Arguments], run: Callable[[Arguments], None]
         run(parse())
     except (ValueError, OSError, FloatingPointError, ImportError, MemoryError) as error:
         sys.exit(f"error: {str(error) or type(error).__name__}")
+    except RuntimeError as error:
+        if "allocate memory" not in str(error):  # torch has no error of its own for it
+            raise
+        sys.exit(f"error: out of memory: {str(error).strip().splitlines()[-1]}")
     except RunInterruptedError as interrupted:
         print(interrupted, file=sys.stderr)
         sys.exit(interrupted.status)

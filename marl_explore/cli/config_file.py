@@ -7,6 +7,7 @@ read as if they were not grouped. Flags on the command line replace what the fil
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from types import UnionType
@@ -15,7 +16,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 import tyro
 import yaml
 
+from marl_explore.config.fields import check_type
 from marl_explore.policies.migrate import migrated
+from marl_explore.utils.json_files import read_json
 
 FLAG = "--config"
 Arguments = TypeVar("Arguments")
@@ -52,16 +55,13 @@ class ConfigFile:
             if field.default is MISSING and field.default_factory is MISSING
         }
         hints = get_type_hints(kind, include_extras=True)
-        known = {n: _converted(self.options[n], hints[n]) for n in required if n in self.options}
+        known = {n: self._value(n, hints[n]) for n in required if n in self.options}
         return self.fill(kind(**required | known | given))
 
     def fill(self, settings: Arguments) -> Arguments:
         """Settings with the options of the file in place of their own; as ``new``."""
         taken: set[str] = set()
-        try:
-            filled = self._filled(settings, taken)
-        except ValueError as error:
-            raise ValueError(f"{self.path}: {error}") from error
+        filled = self._filled(settings, taken)
         unknown = sorted(self.options.keys() - taken)
         if unknown:
             raise ValueError(f"{self.path}: unknown option {unknown[0]!r}; it has {sorted(taken)}")
@@ -76,8 +76,20 @@ class ConfigFile:
                 changes[field.name] = self._filled(value, taken)
             elif field.name in self.options:
                 taken.add(field.name)
-                changes[field.name] = _converted(self.options[field.name], hints[field.name])
-        return replace(settings, **changes)
+                changes[field.name] = self._value(field.name, hints[field.name])
+        try:
+            return replace(settings, **changes)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from error
+
+    def _value(self, name: str, hint: Any) -> Any:
+        """The value of an option in its type."""
+        value = _converted(self.options[name], hint)
+        try:
+            check_type(name, value, hint)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from error
+        return value
 
 
 def take_config(words: Sequence[str]) -> tuple[list[str], ConfigFile | None]:
@@ -103,17 +115,28 @@ def take_config(words: Sequence[str]) -> tuple[list[str], ConfigFile | None]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    from marl_explore.utils.json_files import read_json
-
+    if not path.is_file():
+        raise ValueError(f"{path} cannot be read: it is no file")
     if path.suffix == ".json":
         return read_json(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as YAML: {error}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{path} must be a mapping of options, and is {content!r}")
+        kind = type(content).__name__
+        raise ValueError(f"{path} must be a mapping of options, and is a {kind}")
     return content
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML, in which no key may stand twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value]
+        if twice := [str(key) for key in keys if keys.count(key) > 1]:
+            raise ValueError(f"the key {twice[0]!r} stands there twice")
+        return super().construct_mapping(node, deep)
 
 
 def _flat(content: Mapping[Any, Any], path: Path) -> dict[str, Any]:
@@ -139,7 +162,8 @@ def _converted(value: Any, hint: Any) -> Any:
         entries = value if isinstance(value, list) else [value]
         return tuple(_converted(entry, parts[0]) for entry in entries)
     if hint is float and isinstance(value, str):
-        return float(value)
+        with suppress(ValueError):
+            return float(value)
     if hint is str and isinstance(value, (int, float)) and not isinstance(value, bool):
         return str(value)
     if hint is Path and isinstance(value, str):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from marl_explore.cli.common import parse_options
-from marl_explore.config.checks import require_integer
+from marl_explore.config.checks import require_integer, require_threads
 from marl_explore.training.presets import PRESETS
 
 MARK = "demo.txt"
@@ -38,7 +38,7 @@ class Arguments:
     def __post_init__(self) -> None:
         """Check the arguments."""
         require_integer("num_arenas", self.num_arenas, 1)
-        require_integer("threads", self.threads, 1)
+        require_threads(self.threads)
 
 
 def parse(words: Sequence[str], prog: str = "marl-explore demo") -> Arguments:

@@ -41,11 +41,12 @@ def parse(words: Sequence[str], prog: str = "marl-explore export") -> Arguments:
 
 def run(arguments: Arguments) -> None:
     """Export the policy, and write a record."""
-    from marl_explore.policies.export import export_npz, export_onnx
+    from marl_explore.policies.export import export_npz, export_onnx, require_exportable
     from marl_explore.policies.io import load_policy
     from marl_explore.utils import records
 
     policy = load_policy(arguments.policy)
+    require_exportable(policy, arguments.kinds)
     arguments.out.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     if "npz" in arguments.kinds:

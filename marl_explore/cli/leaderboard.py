@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from marl_explore.cli.common import parse_options
-from marl_explore.config.checks import require_integer
+from marl_explore.config.checks import require_integer, require_threads
 
 if TYPE_CHECKING:
     from marl_explore.arenas import Suite
@@ -56,7 +56,7 @@ class Arguments:
             if getattr(self, name) is not None:
                 require_integer(name, getattr(self, name), 1)
         require_integer("seed", self.seed, 0)
-        require_integer("threads", self.threads, 1)
+        require_threads(self.threads)
 
 
 def parse(words: Sequence[str], prog: str = "marl-explore leaderboard") -> Arguments:

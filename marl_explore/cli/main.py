@@ -24,7 +24,7 @@ COMMANDS = {
     "export": "export a policy for robots, as .npz and ONNX",
     "lab": "simulate robots with wheels and lidars",
     "variants": "compare training runs with a baseline, over seeds",
-    "paper": "compare four policies with the paper's claims",
+    "paper": "compare the paper's policies with its claims",
     "bundle": "add the policies of runs to the package",
 }
 """Every subcommand, a module of this package, and what it does."""

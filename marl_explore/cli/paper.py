@@ -2,9 +2,9 @@
 
 marl-explore paper mlp-case1=runs/a,runs/b mlp-case2=runs/c cnn-case1=runs/d cnn-case2=runs/e
 
-Each of the four names takes runs of several training seeds, or the folder of a sweep over seeds. As
-in the paper, there are 200 random arenas, the same for every policy, 300 steps, and sampled
-actions.
+Each name, of which some may be left out, takes runs of several training seeds, or the folder of a
+sweep over seeds. As in the paper, there are 200 random arenas, the same for every policy, 300
+steps, and sampled actions.
 """
 
 from __future__ import annotations

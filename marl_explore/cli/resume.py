@@ -46,13 +46,10 @@ def parse(words: Sequence[str], prog: str = "marl-explore resume") -> Resume:
 def run(arguments: Resume) -> None:
     """Finish the run, and print where the results are."""
     from marl_explore.training import runs, seeds
-    from marl_explore.training.run_folder import lengthen
 
     folder, summary = arguments.folder, None
     if not seeds.is_sweep(folder):
-        if arguments.episodes is not None:
-            lengthen(folder, arguments.episodes)
-        runs.resume(folder, from_previous=arguments.from_previous)
+        runs.resume(folder, arguments.from_previous, episodes=arguments.episodes)
     elif arguments.from_previous:
         raise ValueError(
             f"from_previous=True is not allowed for the sweep {folder}: resume one of its runs "

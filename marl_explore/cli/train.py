@@ -83,6 +83,8 @@ def parse(
     if file and chosen is None:  # the file says it all
         start = file.fill(_start(TrainConfig(), arenas or "uniform", network, run))
         return parse_words(Start, words, prog, about, start)
+    if file and chosen == "resume":
+        raise ValueError("--config is not allowed with train resume: use marl-explore resume")
     if file and chosen in defaults:
         defaults[chosen] = file.fill(defaults[chosen])
     choices: list[Any] = [

@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+MAX_SHOWN = 200
+"""Characters of a value that an error shows."""
+
 
 def require(condition: bool, name: str, value: object, allowed: str) -> None:
     """Raise an error unless a condition holds; it says what is allowed."""
     if not condition:
-        raise ValueError(f"{name}={value!r} is not allowed: {allowed}")
+        shown = repr(value)
+        shown = shown if len(shown) <= MAX_SHOWN else f"{shown[: MAX_SHOWN - 3]}..."
+        raise ValueError(f"{name}={shown} is not allowed: {allowed}")
 
 
+MAX_THREADS = 1024
 MAX_INTEGER = 2**63 - 1
 """Largest integer of any setting: that of an int64."""
 
@@ -49,7 +55,13 @@ def require_share(name: str, value: float) -> None:
 
 def require_coverage(name: str, value: float | None) -> None:
     """Require None or a coverage in (0, 1]."""
-    require(value is None or 0 < value <= 1, name, value, "it must be None or lie in (0, 1]")
+    number = isinstance(value, (int, float)) and 0 < value <= 1
+    require(value is None or number, name, value, "it must be None or lie in (0, 1]")
+
+
+def require_threads(threads: object) -> None:
+    """Require a number of CPU threads that torch can start."""
+    require_integer("threads", threads, 1, MAX_THREADS)
 
 
 def require_widths(name: str, widths: Sequence[int]) -> None:

@@ -36,10 +36,19 @@ def check_types(settings: Any) -> None:
             need more than 64 bits.
     """
     for name, hint in _hints(type(settings)).items():  # type: ignore[arg-type]
-        value = getattr(settings, name)
-        large = isinstance(value, int) and abs(value) > MAX_INTEGER
-        bits = " of at most 64 bits" if large else ""
-        require(_fits(value, hint), name, value, f"it must be {_describe(hint)}{bits}")
+        check_type(name, getattr(settings, name), hint)
+
+
+def check_type(name: str, value: object, hint: Any) -> None:
+    """Require that the value of one field has its declared type; as ``check_types``."""
+    if _fits(value, hint):
+        return
+    allowed = _describe(hint)
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:
+        allowed += " of at most 64 bits"
+    elif hasattr(value, "item"):
+        allowed += " of Python: use .item()"
+    require(False, name, value, f"it must be {allowed}")
 
 
 def read_fields(kind: type[Settings], values: object, where: str) -> Settings:

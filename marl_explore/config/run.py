@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from marl_explore.config.checks import MAX_INTEGER, require, require_integer
+from marl_explore.config.checks import (
+    MAX_INTEGER,
+    require,
+    require_integer,
+    require_threads,
+)
 from marl_explore.config.fields import check_types
 
 CollectorKind = Literal["process", "multisync", "multiasync", "ray"]
 LoggerName = Literal["csv", "tensorboard", "wandb", "mlflow"]
 Selection = Literal["steps_to_80", "steps_to_90", "steps_to_95", "steps_to_99", "steps_to_100"]
-MAX_THREADS = 1024
 MAX_SEEDS = 10_000
 """Most runs of one sweep."""
 
@@ -55,7 +59,7 @@ class RunConfig:
         check_types(self)
         for name in ("workers", "keep_checkpoints", "validation_arenas"):
             require_integer(name, getattr(self, name), 1)
-        require_integer("threads", self.threads, 1, MAX_THREADS)
+        require_threads(self.threads)
         if self.validation_steps is not None:
             require_integer("validation_steps", self.validation_steps, 1)
         for name in ("checkpoint_every", "validate_every"):

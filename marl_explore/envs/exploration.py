@@ -66,7 +66,9 @@ class ExplorationEnv(EnvBase):
         first_arena: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        config = config or suites.default_config(arenas)
+        config = suites.default_config(arenas) if config is None else config
+        if not isinstance(config, ArenaConfig):
+            raise ValueError(f"config={config!r} is not allowed: it must be an ArenaConfig")
         require_integer("num_envs", num_envs, 1)
         require_integer("max_steps", max_steps, 1)
         if first_arena is not None:

@@ -72,6 +72,27 @@ def spec_text(policy: Policy) -> str:
     return json.dumps({"format": FORMAT, "twin": twin, **policy.config.to_json()})
 
 
+def require_exportable(policy: Policy, kinds: Sequence[str]) -> None:
+    """Raise an error for a policy that cannot be written in all of these formats.
+
+    Args:
+        policy: the team.
+        kinds: "npz", "onnx" or both.
+
+    Raises:
+        ModuleNotFoundError: when ONNX is asked for and not installed, saying how to install it.
+        ValueError: for actors that read more than FOV, FPR and NET, weights that are not finite,
+            or, as .npz, a network without a numpy twin.
+    """
+    spec_text(policy)
+    require_weights(policy.actors.state_dict(), "the policy")
+    if "npz" in kinds and policy.config.network.exported_as is None:
+        name = policy.config.network.name
+        raise ValueError(f"{name} actors cannot be exported as .npz: they have no numpy twin")
+    if "onnx" in kinds:
+        require_extra("onnx", "onnxscript")
+
+
 def export_npz(policy: Policy, path: str | Path) -> Path:
     """Write all robots' actors as arrays that ``robot.ExportedPolicy`` reads.
 
@@ -88,15 +109,11 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
         raise ValueError(
             f"path={str(path)!r} is not allowed: it must end in .npz, in an existing folder"
         )
-    told = spec_text(policy)
-    require_weights(policy.actors.state_dict(), "the policy")
-    if policy.config.network.exported_as is None:
-        name = policy.config.network.name
-        raise ValueError(f"{name} actors cannot be exported as .npz: they have no numpy twin")
+    require_exportable(policy, ("npz",))
     weights = policy.actors.state_dict()
     arrays = {name: tensor.float().numpy() for name, tensor in weights.items()}
     with atomic_write(path) as unfinished, unfinished.open("wb") as file:
-        save_arrays(file, told, arrays)
+        save_arrays(file, spec_text(policy), arrays)
     return path
 
 
@@ -114,11 +131,10 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
         ModuleNotFoundError: when onnx or onnxscript is not installed, saying how to install it.
         ValueError: for actors that read more than FOV, FPR and NET, or weights that are not finite.
     """
-    require_extra("onnx", "onnxscript")
+    require_exportable(policy, ("onnx",))
     import onnx
 
     told = spec_text(policy)
-    require_weights(policy.actors.state_dict(), "the policy")
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

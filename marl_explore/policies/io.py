@@ -100,7 +100,7 @@ def require_weights(weights: Mapping[str, Tensor], where: str) -> None:
     for name, tensor in weights.items():
         if not tensor.is_floating_point():
             raise ValueError(f"{name} of {where} has the type {tensor.dtype}, not floating-point")
-        if not torch.isfinite(tensor).all():
+        if not torch.isfinite(tensor.float()).all():
             raise ValueError(f"{name} of {where} is not finite: it has NaN or infinite weights")
 
 

@@ -39,6 +39,10 @@ class RunRecord:
         """Raise an error for fields that are not allowed."""
         check_types(self)
 
+    def finishes(self, config: TrainConfig) -> bool:
+        """Whether all updates of a configuration are done."""
+        return self.finished and self.frames == config.updates * config.batch_frames
+
     def to_json(self) -> dict[str, Any]:
         """The content of the file; what is not known yet is left out."""
         return {name: value for name, value in asdict(self).items() if value is not None}
@@ -93,8 +97,7 @@ def is_finished(folder: Path) -> bool:
     Raises:
         ValueError: as for ``read_config`` and ``read_record``.
     """
-    config, record = read_config(folder), read_record(folder)
-    return record.finished and record.frames == config.updates * config.batch_frames
+    return read_record(folder).finishes(read_config(folder))
 
 
 def lengthen(folder: str | Path, episodes: int) -> None:
@@ -108,15 +111,31 @@ def lengthen(folder: str | Path, episodes: int) -> None:
         episodes: of the whole run, at least as many as now.
 
     Raises:
-        ValueError: for fewer episodes, when it is not a run folder, or another process owns it.
+        ValueError: for fewer episodes, or too few for another update, when it is not a run folder,
+            or another process owns it.
     """
     folder = Path(folder)
+    longer(folder, episodes)
+    with owned(folder):
+        write_longer(folder, episodes)
+
+
+def longer(folder: Path, episodes: int) -> TrainConfig:
+    """The configuration of a run with this length; errors as for ``lengthen``."""
     config = read_config(folder)
     require_integer("episodes", episodes, 1)
-    if episodes < config.episodes:
+    new = replace(config, episodes=max(episodes, config.episodes))
+    if episodes < config.episodes or (new != config and new.updates == config.updates):
+        update = config.batch_frames / config.episode_steps
         raise ValueError(
             f"episodes={episodes} is not allowed: the run in {folder} has {config.episodes}, and "
-            "can only be made longer"
+            f"can only be made longer, by whole updates of {update:g} episodes"
         )
-    with owned(folder):
-        write_json(folder / CONFIG_FILE, replace(config, episodes=episodes).to_json())
+    return new
+
+
+def write_longer(folder: Path, episodes: int) -> None:
+    """As ``lengthen``, by a process that owns the folder."""
+    config = longer(folder, episodes)
+    if config != read_config(folder):
+        write_json(folder / CONFIG_FILE, config.to_json())

@@ -26,9 +26,15 @@ from marl_explore.training.config import TrainConfig
 from marl_explore.training.loggers import require_logger
 from marl_explore.training.loop import run_training
 from marl_explore.training.progress import Report
-from marl_explore.training.run_folder import is_finished, prepare, read_config, read_record
+from marl_explore.training.run_folder import (
+    RunRecord,
+    prepare,
+    read_config,
+    read_record,
+    write_longer,
+)
 from marl_explore.training.trainer import Trainer
-from marl_explore.training.validation import Validation
+from marl_explore.training.validation import Validation, require_validation
 from marl_explore.utils.locks import owned
 from marl_explore.utils.records import provenance
 from marl_explore.utils.versions import versions
@@ -65,7 +71,7 @@ def train(
     trainer = make_trainer(config, run)  # rejects wrong settings before a folder is made
     folder = prepare(config, folder, run)
     with owned(folder):
-        return _carry_out(trainer, Validation(config, run, folder), progress)
+        return _carry_out(trainer, Validation(config, run, folder), RunRecord(run), progress)
 
 
 def make_trainer(config: TrainConfig, run: RunConfig, fresh: bool = True) -> Trainer:
@@ -80,6 +86,8 @@ def make_trainer(config: TrainConfig, run: RunConfig, fresh: bool = True) -> Tra
         ValueError: naming the setting that is not allowed, or the package that is missing.
     """
     require_logger(run.logger)
+    if run.validate_every:
+        require_validation(config, run)
     torch.set_num_threads(run.threads)
     return Trainer(config, run, fresh)
 
@@ -89,6 +97,7 @@ def resume(
     from_previous: bool = False,
     progress: bool | Report = True,
     patience: float = 0.0,
+    episodes: int | None = None,
 ) -> Policy:
     """Resume a run from its last checkpoint, or from the start when there is none.
 
@@ -101,6 +110,7 @@ def resume(
             ignored from then on.
         progress: whether to show a progress bar, or what to report to.
         patience: how long to wait while another process owns the run (seconds).
+        episodes: new length of the run, to make it longer first, as by ``lengthen``.
 
     Raises:
         ValueError: when the folder is not a run, the run is finished, another process owns it (a
@@ -111,12 +121,15 @@ def resume(
     folder = Path(folder)
     read_config(folder)  # refuses what is not a run before it is locked
     with owned(folder, patience):
+        if episodes is not None:
+            write_longer(folder, episodes)
         return _resume(folder, from_previous, progress)
 
 
 def _resume(folder: Path, from_previous: bool, progress: bool | Report) -> Policy:
-    config, run = read_config(folder), read_record(folder).execution
-    if is_finished(folder):
+    config, record = read_config(folder), read_record(folder)
+    run = record.execution
+    if record.finishes(config):
         raise ValueError(f"the run in {folder} is finished: there is nothing to resume")
     path = _checkpoint_to_resume(folder, from_previous)
     trainer = make_trainer(config, run, fresh=path is None)
@@ -132,7 +145,7 @@ def _resume(folder: Path, from_previous: bool, progress: bool | Report) -> Polic
         validation.best = state["best"]
         if from_previous:
             set_aside(list_checkpoints(folder)[-1])
-    return _carry_out(trainer, validation, progress)
+    return _carry_out(trainer, validation, record, progress)
 
 
 def _checkpoint_to_resume(folder: Path, from_previous: bool) -> Path | None:
@@ -182,10 +195,11 @@ def _compare_versions(saved: Mapping[str, str], path: Path) -> None:
         )
 
 
-def _carry_out(trainer: Trainer, validation: Validation, progress: bool | Report) -> Policy:
+def _carry_out(
+    trainer: Trainer, validation: Validation, record: RunRecord, progress: bool | Report
+) -> Policy:
     """Do the rest of a run, from where the trainer is, and keep its record."""
     folder = validation.folder
-    record = read_record(folder)
     start = provenance() | {"updates": trainer.updates}
     record = replace(record, starts=(*record.starts, start), finished=False)
     record.write(folder)

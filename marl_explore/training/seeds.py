@@ -25,7 +25,13 @@ from marl_explore.evaluation.stats import seed_mean
 from marl_explore.training import runs
 from marl_explore.training.config import TrainConfig
 from marl_explore.training.progress import Bars, reporter
-from marl_explore.training.run_folder import is_finished, lengthen, prepare, read_record
+from marl_explore.training.run_folder import (
+    is_finished,
+    longer,
+    prepare,
+    read_record,
+    write_longer,
+)
 from marl_explore.utils import records, tables
 from marl_explore.utils.curves import read_curve
 from marl_explore.utils.interrupts import (
@@ -167,8 +173,12 @@ def resume_sweep(folder: str | Path, episodes: int | None = None) -> Summary:
     record = read_sweep(folder)
     with owned(folder):
         if episodes is not None:
-            for seed in record.seeds:
-                lengthen(folder / _name(seed), episodes)
+            runs_of_it = [folder / _name(seed) for seed in record.seeds]
+            for run in runs_of_it:
+                longer(run, episodes)  # refused before any is changed
+            for run in runs_of_it:
+                with owned(run, PATIENCE):
+                    write_longer(run, episodes)
         return _resume(folder, record)
 
 

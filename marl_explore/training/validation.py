@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from marl_explore.arenas import default_steps
 from marl_explore.config.run import RunConfig
+from marl_explore.evaluation.episodes import require_recording
 from marl_explore.evaluation.results import evaluate
 from marl_explore.policies.io import save_policy
 from marl_explore.policies.policy import Policy
@@ -25,6 +27,22 @@ LOGGED = (
     "overlap",
 )
 """Measures that are logged for every validation, in addition to the one for the best policy."""
+
+
+def require_validation(config: TrainConfig, run: RunConfig) -> None:
+    """Raise an error for validations that this machine could not hold.
+
+    Raises:
+        ValueError: naming the settings.
+    """
+    steps = run.validation_steps or default_steps(config.arenas)
+    try:
+        require_recording(config.arena, run.validation_arenas, steps)
+    except ValueError as error:
+        raise ValueError(
+            f"validation_arenas={run.validation_arenas} of validation_steps={steps} are not "
+            f"allowed: {error}"
+        ) from error
 
 
 @dataclass

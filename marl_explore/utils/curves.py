@@ -40,8 +40,10 @@ def _rows(path: Path) -> Iterator[tuple[str, int, float]]:
                 return
             try:
                 frames, value = row.split(",")
-                yield row, int(frames), float(value)
-            except ValueError as error:
+                number = int(frames)
+                float(number)  # beyond its range no curve goes
+                yield row, number, float(value)
+            except (ValueError, OverflowError) as error:
                 raise ValueError(
                     f"{path}, line {line} is not a row of a curve, frames and value: "
                     f"{row.strip()[:80]!r}"

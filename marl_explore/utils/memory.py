@@ -5,18 +5,27 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 import torch
 from torch import nn
 
+CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 _GIB = 2**30
 
 
 def machine_memory() -> int | None:
-    """Physical memory of this machine (bytes); None where the system does not tell."""
+    """Memory that a process may use here (bytes); None where the system does not tell.
+
+    It is the machine's, or the limit of the control group, as in containers and batch jobs.
+    """
     if not hasattr(os, "sysconf") or "SC_PHYS_PAGES" not in os.sysconf_names:
         return None
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    with suppress(OSError, ValueError):  # no control group, or no limit: "max"
+        limits.append(int(CGROUP_LIMIT.read_text()))
+    return min(limits)
 
 
 def weights_memory(make: Callable[[], nn.Module]) -> float:

@@ -31,7 +31,7 @@ def write_tensors(
     Raises:
         OSError: naming the file, when it cannot be written.
     """
-    contents = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    contents = {n: tensor.detach().cpu().contiguous() for n, tensor in tensors.items()}
     metadata = {"format": format, "sha256": _digest(texts, contents), **texts}
     with atomic_write(path) as unfinished:
         try:

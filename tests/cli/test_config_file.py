@@ -67,7 +67,11 @@ def test_a_runs_own_config_is_accepted_back(tmp_path, network):
     ("text", "message"),
     [
         ("unknown: 1", "unknown option 'unknown'"),
-        ("actor_lr: fast", "could not convert string to float: 'fast'"),
+        ("actor_lr: fast", "actor_lr='fast' is not allowed: it must be a number"),
+        ("network: transformer", "network='transformer' is not allowed: it must be one of"),
+        ("out: 5", "out=5 is not allowed: it must be a path"),
+        ("seeds: [0, 1]", r"seeds=\[0, 1\] is not allowed: it must be text"),
+        ("episodes: 2\nepisodes: 4", "the key 'episodes' stands there twice"),
         ("episodes: -1", "episodes=-1 is not allowed"),
         ("episodes: [1]", r"episodes=\[1\] is not allowed: it must be an integer"),
         ("seed: 1\narena: {seed: 2}", "has the option 'seed' twice"),
@@ -85,11 +89,33 @@ def test_what_a_file_cannot_say_is_refused_by_its_name(tmp_path, text, message):
 
 
 @pytest.mark.parametrize(
+    ("module", "options", "message"),
+    [
+        (export, {"policy": "best", "kinds": ["zip"]}, r"kinds=\('zip',\) is not allowed"),
+        (export, {"policy": "best", "kinds": None}, r"kinds=\(None,\) is not allowed"),
+        (export, {"policy": [1]}, r"policy=\[1\] is not allowed: it must be text"),
+        (evaluate, {"policies": None}, r"policies=\(None,\) is not allowed"),
+        (evaluate, {"policies": [["random"]]}, r"policies=\(\['random'\],\) is not allowed"),
+        (resume, {"folder": None}, "folder=None is not allowed: it must be a path"),
+        (leaderboard, {"out": None}, "out=None is not allowed: it must be a path"),
+        (explore, {"maps": 5}, "maps=5 is not allowed: it must be a path"),
+        (leaderboard, {"threads": 10**9}, "threads=1000000000 is not allowed"),
+    ],
+)
+def test_values_in_a_file_are_checked_like_those_of_flags(tmp_path, module, options, message):
+    path = tmp_path / "run.yaml"
+    path.write_text(json.dumps(options))
+    with pytest.raises(ValueError, match=f"{path}: {message}"):
+        module.parse(["--config", str(path)])
+
+
+@pytest.mark.parametrize(
     ("module", "line", "message"),
     [
         (train, "fast --config", "--config is not allowed without a file"),
         (train, "fast --config a --config b", "a cannot be read|--config is not allowed twice"),
         (train, "fast --config nowhere.yaml", "nowhere.yaml cannot be read"),
+        (train, "resume run --config a.yaml", "a.yaml cannot be read"),
         (train, "fast --seed -1", "^seed=-1 is not allowed"),
         (train, "fast --height 0", "^height=0 is not allowed"),
         (train, "fast --hidden 0", "^hidden=0 is not allowed"),

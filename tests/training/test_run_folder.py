@@ -61,17 +61,32 @@ def test_a_longer_run_is_that_of_this_length_from_the_start(tmp_path, finished):
 
 
 def test_a_run_cannot_be_made_shorter(tmp_path):
-    folder = prepare(TINY, tmp_path / "run", RunConfig())
+    folder = prepare(TINY, tmp_path / "run", RunConfig(validate_every=0))
     with pytest.raises(ValueError, match=r"episodes=23 is not allowed: the run in .* has 24"):
         lengthen(folder, 23)
     assert read_config(folder) == TINY
+    runs.resume(folder, progress=False)
+    more_but_no_update = TINY.episodes + 1
+    for attempt in (lengthen, lambda f, n: runs.resume(f, episodes=n)):
+        with pytest.raises(ValueError, match="can only be made longer, by whole updates of 4 epis"):
+            attempt(folder, more_but_no_update)
+    assert read_config(folder) == TINY
+
+
+def test_a_sweep_is_made_longer_as_a_whole_or_not_at_all(tmp_path):
+    run = RunConfig(validate_every=0)
+    seeds.sweep(replace(TINY, episodes=8), tmp_path / "sweep", [0, 1], run, jobs=1)
+    lengthen(tmp_path / "sweep" / "seed-1", 24)
+    with pytest.raises(ValueError, match="episodes=16 is not allowed: the run in .*seed-1 has 24"):
+        seeds.resume_sweep(tmp_path / "sweep", episodes=16)
+    assert read_config(tmp_path / "sweep" / "seed-0").episodes == 8
 
 
 def test_a_run_without_its_record_goes_on_with_the_default_settings(tmp_path, caplog):
     folder = prepare(TINY, tmp_path / "run", RunConfig(validate_every=0))
     (folder / "run.json").unlink()
     runs.resume(folder, progress=False)
-    assert "run.json is missing" in caplog.text
+    assert caplog.text.count("run.json is missing") == 1
     assert read_record(folder).execution == RunConfig()
     assert is_finished(folder)
 
@@ -135,6 +150,14 @@ def test_an_overflow_in_the_loss_names_the_last_good_checkpoint(tmp_path, monkey
 def test_runs_that_do_not_fit_are_refused_before_anything_is_made(changes, message):
     with pytest.raises(ValueError, match=message):
         memory.require_training_memory(replace(TINY, **changes))
+
+
+@pytest.mark.parametrize("setting", ["validation_arenas", "validation_steps"])
+def test_validations_that_do_not_fit_are_refused_before_anything_is_made(tmp_path, setting):
+    run = RunConfig(**{setting: 10**12})
+    with pytest.raises(ValueError, match=f"{setting}=1000000000000 .*not allowed: .* would need"):
+        runs.train(TINY, tmp_path / "run", run)
+    assert not list(tmp_path.iterdir())
 
 
 LONG = replace(CONFIG, episodes=4 * CONFIG.episodes)

@@ -43,6 +43,7 @@ def test_a_folder_that_is_gone_is_named(tmp_path):
     [
         ("", "is not JSON"),
         ("[1]", "is not a JSON object: it is a list"),
+        ('{"a": 1, "a": 2}', "is not JSON: a key stands there twice"),
         ('{"a":' * 50_000 + "1" + "}" * 50_000, "is nested too deeply"),
         ('{"a": 1', "is not JSON"),
     ],
@@ -120,7 +121,7 @@ def test_curves_are_read_without_their_unfinished_row(tmp_path):
     assert path.read_text() == "10,0.5\n20,nan\n"
 
 
-@pytest.mark.parametrize("row", ["20", "20,x", "x,1.0", "20,1.0,3", "\x00\x00"])
+@pytest.mark.parametrize("row", ["20", "20,x", "x,1.0", "20,1.0,3", "\x00\x00", "9" * 400 + ",1"])
 def test_rows_that_are_none_are_refused_by_their_line(tmp_path, row):
     path = tmp_path / "reward.csv"
     path.write_text(f"10,0.5\n{row}\n30,1.25\n")
