@@ -25,7 +25,7 @@ RAY = RunConfig(collector="ray", workers=2, checkpoint_every=0, validate_every=0
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster():
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
     yield
     ray.shutdown()
 
