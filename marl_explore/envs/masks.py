@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torchrl.data import Categorical
+from torchrl.data.utils import ACTION_SPACE_MAP
 
 from marl_explore.core.motion import random_allowed
 
@@ -55,3 +56,7 @@ class AllowedActions(Categorical):
         copied: Any = super().clone()
         copied.current = self.current
         return copied
+
+
+# TorchRL's value modules look kinds of specs up by class, not by subclass
+ACTION_SPACE_MAP[AllowedActions] = ACTION_SPACE_MAP[Categorical]

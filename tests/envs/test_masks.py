@@ -18,6 +18,7 @@ from torchrl.envs import (
     TransformedEnv,
     check_env_specs,
 )
+from torchrl.modules import QValueModule
 
 from marl_explore import ExplorationEnv, make_env
 
@@ -141,3 +142,8 @@ def test_specs_on_their_own_draw_any_action_in_their_shape():
         assert drawn.shape == (200, *other.shape)
         assert len(drawn.unique()) == 10
     assert spec.is_in(torch.full((16, 4), 9))  # forbidden actions are actions
+
+
+def test_value_modules_know_the_spec_as_integers():
+    spec = ExplorationEnv(num_envs=2).full_action_spec["agents", "action"]
+    assert QValueModule(spec=spec).action_space == "categorical"

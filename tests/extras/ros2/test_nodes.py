@@ -188,6 +188,8 @@ def test_parameters_are_read_only_once_a_node_runs():
 
 def travelled(poses):
     """Furthest from where it was first (metres)."""
+    if not poses:
+        return 0.0
     places = np.array([(pose.x, pose.y) for pose in poses])
     return np.hypot(*(places - places[0]).T).max()
 
