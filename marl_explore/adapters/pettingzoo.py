@@ -147,7 +147,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
             ValueError: for another seed or option, when only one of the two is given, or starts
                 are out of bounds, occupied or shared. The episode in progress is kept.
         """
-        start = self._given(options or {})
+        start = self._given({} if options is None else options)
         if seed is not None:
             seed = checked_seed(seed)
         if start is not None:
@@ -238,6 +238,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
 
     def _given(self, options: Mapping[str, Any]) -> TensorDict | None:
         """The start that the options ask for, if they do."""
+        if not isinstance(options, Mapping):
+            raise ValueError(f"options={options!r} is not allowed: use a dictionary")
         for key in options:
             if key not in (*_START, _UNUSED):
                 raise ValueError(f"options[{key!r}] is not allowed: use both of {_START}")
@@ -246,7 +248,10 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
             return None
         if len(start) < len(_START):
             raise ValueError(f"options={[*start]} is not allowed: give both of {_START}")
-        obstacles, positions = (torch.as_tensor(np.asarray(start[k])).unsqueeze(0) for k in _START)
+        try:
+            obstacles, positions = (torch.as_tensor(np.asarray(start[k]))[None] for k in _START)
+        except (TypeError, ValueError) as error:  # text, None, rows of different lengths
+            raise ValueError(f"options of {_START} must be arrays of numbers: {error}") from error
         agents = TensorDict({"position": positions}, batch_size=[1])
         return TensorDict({"obstacles": obstacles, "agents": agents}, batch_size=[1])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -43,14 +44,25 @@ _OTHERWISE = {
 # ----------------------------------------------------------------------- construction
 
 
-def check_options(clip_epsilon: Any, options: Mapping[str, Any]) -> None:
-    """Refuse options that ``ClipPPOLoss`` would ignore, or that HAPPO has no use for."""
-    if isinstance(clip_epsilon, (int, float)) and not clip_epsilon > 0:
-        raise ValueError(f"clip_epsilon={clip_epsilon} is not allowed: it must be positive")
+def check_options(clip_epsilon: Any, entropy_coeff: Any, options: Mapping[str, Any]) -> None:
+    """Refuse options that ``ClipPPOLoss`` would ignore or misread, or that HAPPO has no use for."""
+    bounds = clip_epsilon if isinstance(clip_epsilon, (tuple, list)) else (clip_epsilon,)
+    if not all(_is_number(bound) and bound > 0 for bound in bounds):
+        raise ValueError(f"clip_epsilon={clip_epsilon!r} is not allowed: it must be positive")
+    if not _is_number(entropy_coeff) or not 0 <= entropy_coeff < math.inf:
+        raise ValueError(
+            f"entropy_coeff={entropy_coeff!r} is not allowed: it must be at least 0, and finite"
+        )
     for name, value in options.items():
         if name not in ACTOR_OPTIONS:
             reason = _OTHERWISE.get(name, f"those of an actor are {list(ACTOR_OPTIONS)}")
             raise ValueError(f"{name}={value!r} is not an option of HAPPOLoss: {reason}")
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number or a tensor of one."""
+    one = isinstance(value, Tensor) and value.numel() == 1
+    return one or (isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
 def state_keys(actor: nn.Module) -> list[NestedKey]:

@@ -157,7 +157,7 @@ class HAPPOLoss(TeamCriticLoss):
     ) -> None:
         super().__init__(critic, value_norm)
         self.views = find_views(actors, views, group_map)
-        check_options(clip_epsilon, actor_options)
+        check_options(clip_epsilon, entropy_coeff, actor_options)
         check_parts(actors, critic, self.views)
         self.actor_losses = nn.ModuleDict()
         for name, actor in actors.items():

@@ -293,3 +293,21 @@ def test_wrong_arguments_are_named():
         env.step({})
     with pytest.raises(RuntimeError, match="call reset"):
         env.state()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        5,
+        "obstacles",
+        {"obstacles": "abc", "positions": "x"},
+        {"obstacles": None, "positions": None},
+        {"obstacles": [[0, 1], [0]], "positions": [[0, 0]]},
+    ],
+)
+def test_options_of_another_kind_are_refused_and_the_episode_goes_on(options):
+    env = parallel_env(max_steps=5)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="options"):
+        env.reset(options=options)
+    env.step(dict.fromkeys(env.agents, 8))

@@ -149,3 +149,26 @@ def test_options_of_an_actor_are_passed_on():
     loss = HAPPOLoss(single_actor(), entropy_bonus=False, reduction="sum")
     assert not loss.actor_losses["robot"].entropy_bonus
     assert loss.actor_losses["robot"].reduction == "sum"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"clip_epsilon": "x"},
+        {"clip_epsilon": None},
+        {"clip_epsilon": True},
+        {"clip_epsilon": float("nan")},
+        {"clip_epsilon": (0.1, -0.2)},
+        {"entropy_coeff": float("nan")},
+        {"entropy_coeff": -0.1},
+        {"entropy_coeff": {"move": 0.1}},
+    ],
+)
+def test_weights_that_are_no_numbers_are_refused(options):
+    (name,) = options
+    with pytest.raises(ValueError, match=f"{name}=.* is not allowed: it must be"):
+        HAPPOLoss(single_actor(), **options)
+
+
+def test_clipping_may_be_asymmetric():
+    HAPPOLoss(single_actor(), clip_epsilon=(0.1, 0.3))
