@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeGuard
 
 MAX_SHOWN = 200
 """Characters of a value that an error shows."""
@@ -22,18 +23,18 @@ MAX_INTEGER = 2**63 - 1
 """Largest integer of any setting: that of an int64."""
 
 
+def is_integer(value: object) -> TypeGuard[int]:
+    """Whether a value is an integer; True and False are none."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
 def require_integer(name: str, value: object, low: int, high: int = MAX_INTEGER) -> None:
     """Require an integer from ``low`` to ``high``."""
-    integer = isinstance(value, int) and not isinstance(value, bool)
     allowed = f"an integer of at least {low}"
-    if integer and value > high:  # type: ignore[operator]
+    if is_integer(value) and value > high:
         allowed += f", and at most {high}"
-    require(
-        integer and low <= value <= high,  # type: ignore[operator]
-        name,
-        value,
-        f"it must be {allowed}",
-    )
+    fits = is_integer(value) and low <= value <= high
+    require(fits, name, value, f"it must be {allowed}")
 
 
 def require_positive(name: str, value: float, unit: str = "") -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from marl_explore.config.checks import MAX_INTEGER, require
+from marl_explore.config.checks import MAX_INTEGER, is_integer, require
 
 Settings = TypeVar("Settings")
 
@@ -114,9 +114,9 @@ def _fits(value: Any, hint: Any) -> bool:
     if hint is Any:
         return True
     if hint is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and value == value
+        return is_integer(value) or (isinstance(value, float) and value == value)
     if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool) and abs(value) <= MAX_INTEGER
+        return is_integer(value) and abs(value) <= MAX_INTEGER
     return isinstance(value, origin or hint)
 
 
