@@ -46,10 +46,12 @@ def random_allowed(mask: Tensor) -> Tensor:
 
 
 def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
-    """The wanted actions, with blocked moves replaced by a random open move (the yield rule).
+    """The wanted actions, with blocked moves replaced by a random choice (the yield rule).
 
-    A move is blocked if it is not allowed, or if the robot's last move was refused. Without this
-    rule two robots that want to pass each other would block each other forever.
+    A move is blocked if it is not allowed, or if the robot's last move was refused. The choice is
+    among the open moves and staying: in a corridor one robot has to wait until the other has left
+    the only cell in which they can pass. Without this rule two robots that want to pass each other
+    would block each other forever.
 
     Args:
         wanted: int64 [*B, N].
@@ -60,9 +62,7 @@ def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
         int64 [*B, N].
     """
     allowed = mask.gather(-1, wanted.unsqueeze(-1)).squeeze(-1)
-    moves = mask.clone()
-    moves[..., NUM_DIRECTIONS:] = False
-    moves[..., STAY] = ~moves.any(-1)  # only where no move is open
+    moves = mask[..., : STAY + 1]  # staying is always allowed
     blocked = (wanted < NUM_DIRECTIONS) & (refused | ~allowed)
     return torch.where(blocked, random_allowed(moves), wanted)
 
