@@ -87,7 +87,7 @@ def measure(arguments: Arguments, run: RunConfig, num_envs: int) -> tuple[float,
     trainer.collect()  # starts the workers
     for _ in range(arguments.repeats):
         start = time.perf_counter()
-        batch = trainer.collect()
+        (batch,) = trainer.collect()
         collected = time.perf_counter()
         trainer.update(batch)
         collections.append(collected - start)

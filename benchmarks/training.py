@@ -71,7 +71,7 @@ class Iteration:
 
     def __call__(self) -> None:
         start = time.perf_counter()
-        batch = self.trainer.collect()
+        (batch,) = self.trainer.collect()
         collected = time.perf_counter()
         self.trainer.update(batch)
         self.seconds["collection"].append(collected - start)
@@ -80,7 +80,7 @@ class Iteration:
     def acting(self) -> Callable[[], object]:
         """The actors' networks alone, as often as one iteration needs them."""
         config = self.trainer.config
-        observation = self.trainer.collect()[:, 0]
+        observation = self.trainer.collect()[0][:, 0]
         inputs = [observation[key].contiguous() for key in OBSERVATION_KEYS]
 
         @torch.no_grad()

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from marl_explore.arenas import Rooms as Rooms
     from marl_explore.arenas import Suite as Suite
     from marl_explore.arenas import Uniform as Uniform
+    from marl_explore.arenas import default_config as default_config
+    from marl_explore.arenas import default_steps as default_steps
     from marl_explore.arenas import list_suites as list_suites
     from marl_explore.arenas import load_map as load_map
     from marl_explore.arenas import suite as suite
@@ -59,6 +61,8 @@ if TYPE_CHECKING:
     from marl_explore.lab import LabRunner as LabRunner
     from marl_explore.lab import Noise as Noise
     from marl_explore.planners import PLANNERS as PLANNERS
+    from marl_explore.planners import GoalUtility as GoalUtility
+    from marl_explore.planners import GoalWeights as GoalWeights
     from marl_explore.planners import PairTimer as PairTimer
     from marl_explore.planners import Planner as Planner
     from marl_explore.planners.communication import CommunicationRule as CommunicationRule
@@ -74,6 +78,7 @@ if TYPE_CHECKING:
     from marl_explore.policies.networks import MLP as MLP
     from marl_explore.policies.networks import NETWORKS as NETWORKS
     from marl_explore.policies.networks import DeepSet as DeepSet
+    from marl_explore.policies.networks import Goals as Goals
     from marl_explore.policies.networks import Network as Network
     from marl_explore.policies.policy import Policy as Policy
     from marl_explore.policies.policy import PolicyConfig as PolicyConfig
@@ -99,7 +104,9 @@ if TYPE_CHECKING:
     from marl_explore.transforms import CommunicationNeighbors as CommunicationNeighbors
     from marl_explore.transforms import FrontierReachability as FrontierReachability
     from marl_explore.transforms import FrontierTerritory as FrontierTerritory
+    from marl_explore.transforms import GoalCandidates as GoalCandidates
     from marl_explore.transforms import LocalMap as LocalMap
+    from marl_explore.transforms import RememberTeam as RememberTeam
     from marl_explore.transforms import StepGain as StepGain
     from marl_explore.transforms import Teammates as Teammates
     from marl_explore.transforms.base import FeatureTransform as FeatureTransform
@@ -120,6 +127,8 @@ _EXPORTS = {
         "Rooms",
         "Suite",
         "Uniform",
+        "default_config",
+        "default_steps",
         "list_suites",
         "load_map",
         "suite",
@@ -143,12 +152,12 @@ _EXPORTS = {
     "happo.loss": ("HAPPOLoss",),
     "happo.update": ("sequential_update",),
     "lab": ("LabRunner", "Noise"),
-    "planners": ("PLANNERS", "PairTimer", "Planner"),
+    "planners": ("PLANNERS", "GoalUtility", "GoalWeights", "PairTimer", "Planner"),
     "planners.communication": ("CommunicationRule",),
     "policies.actors": ("MultiAgentActors", "probabilistic_actor"),
     "policies.export": ("export_npz", "export_onnx"),
     "policies.io": ("list_policies", "load_policy", "policy_info", "save_policy"),
-    "policies.networks": ("CNN", "MLP", "NETWORKS", "DeepSet", "Network"),
+    "policies.networks": ("CNN", "MLP", "NETWORKS", "DeepSet", "Goals", "Network"),
     "policies.policy": ("Policy", "PolicyConfig"),
     "robot": (
         "BarrierClock",
@@ -173,7 +182,9 @@ _EXPORTS = {
         "CommunicationNeighbors",
         "FrontierReachability",
         "FrontierTerritory",
+        "GoalCandidates",
         "LocalMap",
+        "RememberTeam",
         "StepGain",
         "Teammates",
     ),

@@ -27,3 +27,23 @@ NORMALIZATIONS: tuple[Normalization | None, ...] = ("relative", "proximity", "ab
 
 NEVER = 1_000_000
 """Steps since the last merge of two robots that never merged; the counter stops there."""
+
+MAX_FRONTIERS = 24
+"""Candidate frontier cells of a robot (docs/goals.md)."""
+GOAL_COLUMNS = (
+    "row",
+    "column",
+    "moves",
+    "move",
+    "merged_cells",
+    "near_gain",
+    "middle_gain",
+    "far_gain",
+    "pocket",
+    "isolation",
+    "move_gain",
+    "move_allowed",
+    "turn",
+    "from_last_goal",
+)
+"""What is known about each of them."""

@@ -10,20 +10,21 @@ from torch import Tensor
 
 from marl_explore.config.constants import NORMALIZATIONS as NORMALIZATIONS
 from marl_explore.config.constants import Normalization as Normalization
-from marl_explore.core.grid import FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN, compass, flat_cell
+from marl_explore.core.grid import (
+    FREE,
+    NUM_DIRECTIONS,
+    OCCUPIED,
+    UNKNOWN,
+    beside_any,
+    compass,
+    flat_cell,
+)
 from marl_explore.core.wavefront import batch_last, flood, mask
 
 
 def frontier_mask(grid: Tensor) -> Tensor:
     """Known free cells with an unknown 4-neighbour, bool [*B, H, W], of maps [*B, H, W]."""
-    unknown = torch.nn.functional.pad(grid == UNKNOWN, (1, 1, 1, 1))
-    beside = (
-        unknown[..., :-2, 1:-1]
-        | unknown[..., 2:, 1:-1]
-        | unknown[..., 1:-1, :-2]
-        | unknown[..., 1:-1, 2:]
-    )
-    return beside & (grid == FREE)
+    return beside_any(grid == UNKNOWN) & (grid == FREE)
 
 
 def feature_table(
@@ -87,14 +88,35 @@ def paths(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
         Directions int64 and lengths int64 (cells), [*B, H, W] each; both 0 in the robot's own cell
         and in unreachable cells.
     """
+    labels, length = first_moves(grid, position)
+    return _lowest_bit(grid.device)[labels.int()], length
+
+
+def first_moves(
+    grid: Tensor, position: Tensor, closed: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """All first moves of the shortest paths to every known free cell, and their length.
+
+    Args:
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2]; the robot's cell need not be known.
+        closed: cells that paths may not enter, bool [*B, H, W]; they close no diagonals.
+
+    Returns:
+        Sets of directions uint8 (bit d for direction d) and lengths int64 (cells), [*B, H, W] each;
+        both 0 in the robot's own cell and in unreachable cells.
+    """
     *batch, height, width = grid.shape
-    labels, distance, _ = _search(grid.reshape(-1, height, width), position.reshape(-1, 2), None)
+    barred = None if closed is None else closed.reshape(-1, height, width)
+    labels, distance, _ = _search(
+        grid.reshape(-1, height, width), position.reshape(-1, 2), None, barred
+    )
     distance = distance.mul_(labels != 0)
 
     def cells(padded: Tensor) -> Tensor:
         return padded[1:-1, 1:-1].permute(2, 0, 1).reshape(*batch, height, width)
 
-    return _lowest_bit(grid.device)[cells(labels).int()], cells(distance).long()
+    return cells(labels), cells(distance).long()
 
 
 class Trajectories(NamedTuple):
@@ -125,11 +147,15 @@ def _trajectories(grid: Tensor, position: Tensor, levels: int | None) -> Traject
     return Trajectories(cell % len(grid), _lowest_bit(grid.device)[found.int()], length)
 
 
-def _search(grid: Tensor, position: Tensor, levels: int | None) -> tuple[Tensor, Tensor, Tensor]:
+def _search(
+    grid: Tensor, position: Tensor, levels: int | None, closed: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
     """Labels and distances of ``flood`` from each robot, and a byte mask of the frontiers."""
     codes = batch_last(grid + 1, border=OCCUPIED + 1)
     known, passable = codes.clamp_max(1), mask((codes >> 1) ^ 1)  # codes are 0, 1 and 2 here
     free = mask(codes.bitwise_and_(1))
+    if closed is not None:
+        free &= mask(batch_last(~closed, border=0))
     labels, distance = flood(*_first_moves(position, free, passable), passable, levels)
     return labels, distance, free[1:-1, 1:-1] & _beside_unknown(known)
 

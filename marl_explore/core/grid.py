@@ -59,3 +59,13 @@ def straight_distances(position: Tensor, height: int, width: int) -> Tensor:
     column = torch.arange(width, device=position.device)
     rows = (position[..., 0, None, None] - row).abs()
     return torch.maximum(rows, (position[..., 1, None, None] - column).abs()).float()
+
+
+def beside_any(cells: Tensor) -> Tensor:
+    """Cells with a 4-neighbour in a set, bool [*B, H, W], of sets bool [*B, H, W]."""
+    beside = torch.zeros_like(cells)
+    beside[..., 1:, :] |= cells[..., :-1, :]
+    beside[..., :-1, :] |= cells[..., 1:, :]
+    beside[..., :, 1:] |= cells[..., :, :-1]
+    beside[..., :, :-1] |= cells[..., :, 1:]
+    return beside

@@ -13,6 +13,7 @@ from marl_explore.core.grid import (
     NUM_DIRECTIONS,
     STAY,
     UNKNOWN,
+    beside_any,
     flat_cell,
     with_robots,
 )
@@ -124,12 +125,7 @@ def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
 def target_cells(obstacles: Tensor, position: Tensor) -> Tensor:
     """Cells that are to be mapped: reachable cells and their 4-neighbours, bool [*B, H, W]."""
     reachable = reachable_cells(obstacles, position)
-    target = reachable.clone()
-    target[..., 1:, :] |= reachable[..., :-1, :]
-    target[..., :-1, :] |= reachable[..., 1:, :]
-    target[..., :, 1:] |= reachable[..., :, :-1]
-    target[..., :, :-1] |= reachable[..., :, 1:]
-    return target
+    return reachable | beside_any(reachable)
 
 
 def connected(obstacles: Tensor) -> Tensor:

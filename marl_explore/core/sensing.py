@@ -147,6 +147,18 @@ def unknown_around(grid: Tensor, radius: int) -> Tensor:
     return (mean * side**2).round().view(grid.shape)
 
 
+def count_around(cells: Tensor, radius: int) -> Tensor:
+    """Cells of a set bool [*B, H, W] in the square around each cell, int64 [*B, H, W]."""
+    height, width = cells.shape[-2:]
+    corner = torch.nn.functional.pad(cells.long().cumsum(-1).cumsum(-2), (1, 0, 1, 0))
+    row = torch.arange(height, device=cells.device)
+    column = torch.arange(width, device=cells.device)
+    top, bottom = (row - radius).clamp_min(0), (row + radius + 1).clamp_max(height)
+    left, right = (column - radius).clamp_min(0), (column + radius + 1).clamp_max(width)
+    strip = corner.index_select(-2, bottom) - corner.index_select(-2, top)
+    return strip.index_select(-1, right) - strip.index_select(-1, left)
+
+
 def step_gains(grid: Tensor, position: Tensor, radius: int) -> Tensor:
     """Number of cells that a robot would see for the first time after each move.
 

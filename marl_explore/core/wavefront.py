@@ -83,7 +83,7 @@ def nearest_distance(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
     """
     begin, fresh, beside = (mask(batch_last(x, border=0)) for x in (starts, free, passable))
     front, sideways, upright = begin.clone(), torch.zeros_like(begin), torch.zeros_like(begin)
-    _spread(front, beside, sideways, upright)
+    _spread(front, beside | begin, sideways, upright)  # a start may itself be impassable
     labels, distance = flood(front, fresh & ~begin, beside)
     far = starts.shape[-2] * starts.shape[-1]
     distance = distance.masked_fill_(labels == 0, far).masked_fill_(begin != 0, 0)

@@ -14,6 +14,7 @@ from marl_explore.planners.assignment import FrontierAssignment, UtilityCost, hu
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import GainThreshold, PairTimer, SharedClock, never
+from marl_explore.planners.goal_utility import GoalUtility, GoalWeights
 from marl_explore.planners.greedy import FPRGreedy
 from marl_explore.planners.hedac import HEDAC
 from marl_explore.planners.nearest import NearestFrontier
@@ -31,6 +32,7 @@ PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "hungarian": lambda config: FrontierAssignment(PairTimer(5), hungarian),
     "hedac": lambda config: HEDAC(PairTimer(5), config),
     "rendezvous": lambda config: Rendezvous(config, SharedClock(14, 3, early=(8,)), memory_steps=3),
+    "goal-utility": lambda config: GoalUtility(config.fov_radius),
     "central": Central,
     "clairvoyant": Clairvoyant,
 }
@@ -45,6 +47,8 @@ __all__ = [
     "FPRGreedy",
     "FrontierAssignment",
     "GainThreshold",
+    "GoalUtility",
+    "GoalWeights",
     "NearestFrontier",
     "PairTimer",
     "Planner",

@@ -18,10 +18,18 @@ from marl_explore.core.grid import (
 )
 from marl_explore.core.links import any_linked
 from marl_explore.core.mapping import target_cells
+from marl_explore.core.memory import (
+    PATIENCE_STEPS,
+    Sightings,
+    last_place,
+    no_sightings,
+    seen_by,
+    sight,
+    where_begun,
+)
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import CommunicationRule
-from marl_explore.planners.sightings import Sightings
 
 WINDOW = 24
 """Side of the window of a large arena in which a robot plans (cells)."""
@@ -53,7 +61,7 @@ class Rendezvous(Planner):
         communicate: CommunicationRule,
         search: BeamSearch | None = None,
         memory_steps: int = 8,
-        patience_steps: int = 8,
+        patience_steps: int = PATIENCE_STEPS,
         answer: bool = True,
     ) -> None:
         super().__init__(communicate)
@@ -62,8 +70,8 @@ class Rendezvous(Planner):
         self.memory_steps = memory_steps
         self.patience_steps = patience_steps
         self.answer = answer
-        self._sightings: Sightings | None = None
-        self._idle = torch.zeros(0)
+        self._seen: Sightings | None = None
+        self._covered, self._idle = torch.zeros(0, dtype=torch.bool), torch.zeros(0)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """Each robot's own part of its joint plan, int64 [*B, N]."""
@@ -81,17 +89,17 @@ class Rendezvous(Planner):
         seen = self._remember(now, grid, position, linked)
         near = any_linked(linked)
         complete = ~frontier_mask(grid).flatten(-2).any(-1)
-        unknown = _worth_seeing(grid, position, ~complete) & ~seen.covered
+        unknown = _worth_seeing(grid, position, ~complete) & ~self._covered
         left = unknown.flatten(-2).any(-1)
         self._idle = torch.where(left | (now == 0), 0, self._idle + 1)
         forget = self._idle >= self.patience_steps
         self._idle = self._idle.masked_fill(forget, 0)
-        seen.covered = seen.covered & ~forget[..., None, None]
+        self._covered = self._covered & ~forget[..., None, None]
 
         move = torch.full_like(position[..., 0], STAY)
         meets = ~left & ~complete & (seen.step.amax(-1) >= 0)
         if meets.any():
-            move[meets] = _towards(grid[meets], position[meets], seen.last_place()[meets])
+            move[meets] = _towards(grid[meets], position[meets], last_place(seen)[meets])
         move = move.masked_fill(~left & near, COMMUNICATE)
         if left.any():
             nearest, length = nearest_frontier(grid[left], position[left])
@@ -107,11 +115,17 @@ class Rendezvous(Planner):
         return move.view(*batch, -1)
 
     def _remember(self, now: Tensor, grid: Tensor, position: Tensor, linked: Tensor) -> Sightings:
-        seen = self._sightings
-        if seen is None or seen.covered.shape != grid.shape or seen.covered.device != grid.device:
-            seen = self._sightings = Sightings(grid)
+        """Add an observation to the memory, which is cleared where an episode begins."""
+        blank, before = no_sightings(position), self._seen
+        same = self._covered.shape == grid.shape and self._covered.device == grid.device
+        if before is None or not same:
+            before, self._covered = blank, torch.zeros_like(grid, dtype=torch.bool)
             self._idle = torch.zeros_like(position[..., 0])
-        seen.update(now, position, linked, self.radius)
+        begun = (now == 0).squeeze(-1)
+        self._seen = seen = sight(where_begun(begun, blank, before), now, position, linked)
+        height, width = grid.shape[-2:]
+        views = seen_by(position, linked, height, width, self.radius).any(-3)
+        self._covered = (self._covered & ~begun[:, None, None, None]) | views
         return seen
 
     def _joint_plan(

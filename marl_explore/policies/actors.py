@@ -15,16 +15,25 @@ from tensordict.nn import (
     TensorDictModuleBase,
 )
 from torch import Tensor, nn
+from torch.distributions import Categorical
 from torchrl.envs import ExplorationType
 from torchrl.envs.utils import exploration_type
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
+from marl_explore.core.motion import give_way
+from marl_explore.planners.goal_moves import follow
 from marl_explore.policies.networks.inputs import by_robot, observation_keys, robots_first
 from marl_explore.policies.stacking import UnknownLayerError, stack_modules
+from marl_explore.transforms.goals import Candidates
+from marl_explore.transforms.memory import GOAL
 
 ACTION_MASK: NestedKey = ("agents", "action_mask")
+REFUSED: NestedKey = ("agents", "dangerous")
 ACTION: NestedKey = ("agents", "action")
 LOG_PROB: NestedKey = ("agents", "action_log_prob")
+CHOICE: NestedKey = ("agents", "choice")
+"""Which candidate goal each robot chose, for actors that choose among goals."""
+CHOICE_LOG_PROB: NestedKey = ("agents", "choice_log_prob")
 
 
 class MultiAgentActors(nn.Module):
@@ -74,15 +83,22 @@ class TeamActor(TensorDictModuleBase):
     It is equivalent to ``probabilistic_actor(MultiAgentActors(actors))`` in a fraction of the time
     that a chain of modules takes. Actions are sampled;
     ``set_exploration_type(ExplorationType.DETERMINISTIC)`` selects the argmax instead.
-    """
 
-    out_keys: list[NestedKey] = [ACTION, LOG_PROB]  # noqa: RUF012
+    Actors that choose among goals write the choice, its log-probability and, into the memory, the
+    goal; the action is the first move to it, unless the yield rule (``core.motion.give_way``) says
+    otherwise.
+    """
 
     def __init__(self, actors: Iterable[nn.Module]) -> None:
         super().__init__()
         self.stacked = MultiAgentActors(actors)
+        self.to_goals = chooses_goals(self.stacked.actors[0])
         self.observation_keys = observation_keys(self.stacked.inputs)
         self.in_keys: list[NestedKey] = [*self.observation_keys, ACTION_MASK]
+        self.out_keys: list[NestedKey] = [ACTION, LOG_PROB]
+        if self.to_goals:
+            self.in_keys += [REFUSED, GOAL]
+            self.out_keys = [CHOICE, CHOICE_LOG_PROB, GOAL, ACTION]
 
     @property
     def _dtype(self) -> torch.dtype:
@@ -91,16 +107,33 @@ class TeamActor(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N] and ("agents", "action_log_prob")."""
-        inputs = (tensordict.get(key) for key in self.observation_keys)
+        inputs = [tensordict.get(key) for key in self.observation_keys]
         logits = self.stacked(*(entry.to(self._dtype) for entry in inputs))
-        logits = logits.masked_fill(~tensordict.get(ACTION_MASK), -torch.inf)
+        mask = tensordict.get(ACTION_MASK)
+        if not self.to_goals:
+            logits = logits.masked_fill(~mask, -torch.inf)
         log_probs = logits.log_softmax(-1)
         likeliest = exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE)
         # argmax of p / e with exponential e is distributed as p
         race = log_probs if likeliest else log_probs.exp() / torch.empty_like(logits).exponential_()
-        action = race.argmax(-1)
-        tensordict.set(ACTION, action)
-        return tensordict.set(LOG_PROB, log_probs.gather(-1, action.unsqueeze(-1)).squeeze(-1))
+        choice = race.argmax(-1)
+        choice_key, log_prob_key = choice_keys(self.to_goals)
+        tensordict.set(choice_key, choice)
+        tensordict.set(log_prob_key, log_probs.gather(-1, choice.unsqueeze(-1)).squeeze(-1))
+        if self.to_goals:
+            move = follow(tensordict, Candidates(*inputs), choice)
+            tensordict.set(ACTION, give_way(move, mask, tensordict.get(REFUSED)))
+        return tensordict
+
+
+def chooses_goals(actor: nn.Module) -> bool:
+    """Whether an actor chooses among candidate goals, not among actions."""
+    return getattr(actor, "chooses", "moves") == "goals"
+
+
+def choice_keys(to_goals: bool) -> tuple[NestedKey, NestedKey]:
+    """The entries of what actors choose and of its log-probability."""
+    return (CHOICE, CHOICE_LOG_PROB) if to_goals else (ACTION, LOG_PROB)
 
 
 def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential:
@@ -108,17 +141,21 @@ def probabilistic_actor(network: nn.Module) -> ProbabilisticTensorDictSequential
 
     With one robot's network it acts on that robot's slice of the group (an actor of HAPPO), with
     ``MultiAgentActors`` on the whole group. Actions are sampled;
-    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` selects the argmax instead.
+    ``set_exploration_type(ExplorationType.DETERMINISTIC)`` selects the argmax instead. Actors that
+    choose among goals give the choices that they do not have the probability 0 themselves.
     """
     logits: NestedKey = ("agents", "logits")
+    actor = network.actors[0] if isinstance(network, MultiAgentActors) else network
+    to_goals = chooses_goals(actor)
+    choice, log_prob = choice_keys(to_goals)
     return ProbabilisticActor(
         TensorDictModule(
             network, observation_keys(cast("Sequence[str]", network.inputs)), [logits]
         ),
-        in_keys={"logits": logits, "mask": ACTION_MASK},
-        out_keys=[ACTION],
-        distribution_class=MaskedCategorical,
+        in_keys={"logits": logits} if to_goals else {"logits": logits, "mask": ACTION_MASK},
+        out_keys=[choice],
+        distribution_class=Categorical if to_goals else MaskedCategorical,
         return_log_prob=True,
-        log_prob_key=LOG_PROB,
+        log_prob_key=log_prob,
         default_interaction_type=InteractionType.RANDOM,
     )

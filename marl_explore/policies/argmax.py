@@ -10,10 +10,9 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
-from marl_explore.policies.actors import ACTION, ACTION_MASK
+from marl_explore.policies.actors import ACTION, ACTION_MASK, REFUSED
 from marl_explore.policies.policy import Policy
 
-REFUSED: NestedKey = ("agents", "dangerous")
 MAP: NestedKey = ("agents", "map")
 STEP: NestedKey = "step_count"
 
@@ -24,7 +23,8 @@ class ArgmaxPolicy(TensorDictModuleBase):
     A memoryless policy would repeat a refused move forever, so a robot whose last move was refused
     makes a random allowed move, as planners do. A robot whose map has not grown for more than
     ``patience`` steps may be moving in circles, so it samples its actions until its map grows
-    again. Call this once per step; its memory is reset at step 0 of an episode.
+    again. Call this once per step; its memory is reset at step 0 of an episode. Policies that
+    choose among goals give way themselves and have a memory of their own.
 
     Args:
         policy: the team.
@@ -43,6 +43,9 @@ class ArgmaxPolicy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N]."""
+        if self.policy.team.to_goals:
+            with set_exploration_type(ExplorationType.DETERMINISTIC):
+                return self.policy(tensordict)
         observed = self.policy.observe(tensordict)
         wanted = self._choose(observed, ExplorationType.DETERMINISTIC)
         stalled = self._remember(tensordict) > self.patience

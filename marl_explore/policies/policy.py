@@ -19,6 +19,7 @@ from marl_explore.policies.actors import ACTION_MASK, TeamActor
 from marl_explore.policies.networks import Network, NetworkSettings
 from marl_explore.policies.networks.ablation import Ablated, require_abilities
 from marl_explore.transforms.features import make_features
+from marl_explore.transforms.memory import GOAL, MEMORY
 from marl_explore.utils.memory import weights_memory
 
 FOV: NestedKey = ("agents", "observation", "fov")
@@ -77,7 +78,11 @@ class Policy(TensorDictModuleBase):
         self.team = TeamActor(actors)
         self._features = make_features(config.arena, config.network.features, config.fpr)
         read = [key for feature in self._features for key in feature.in_keys]
-        self.in_keys: list[NestedKey] = [*dict.fromkeys((*read, ACTION_MASK, FOV))]
+        own = {key for feature in self._features for key in feature.out_keys}
+        needed = (*read, *self.team.in_keys, ACTION_MASK, FOV)
+        self.in_keys: list[NestedKey] = [
+            key for key in dict.fromkeys(needed) if key not in own and key != GOAL
+        ]
 
     @property
     def actors(self) -> nn.ModuleList:
@@ -124,11 +129,16 @@ class Policy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
         acted = self.team(self.observe(tensordict))
+        if tensordict.get(MEMORY, None) is not None:
+            tensordict.set(GOAL, acted.get(GOAL))
         return tensordict.set(("agents", "action"), acted.get(("agents", "action")))
 
     def observe(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The team's input: the entries that it reads, and its features."""
-        observation = tensordict.select(*self.in_keys)
+        observation = tensordict.select(*self.in_keys, MEMORY, strict=False)
+        missing = [key for key in self.in_keys if observation.get(key, None) is None]
+        if missing:
+            raise KeyError(f"the policy needs {missing[0]!r}, which is not in the TensorDict")
         fov = observation.get(FOV)
         self.check(robots=fov.shape[-3], fov_size=fov.shape[-1])
         return self._features(observation)

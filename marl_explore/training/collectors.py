@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 from safetensors.torch import load, save
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
@@ -26,7 +26,11 @@ from marl_explore.envs.workers import CreateEnv, require_even_shares, split_aren
 from marl_explore.policies.actors import TeamActor
 from marl_explore.training.clusters import connect, require_cluster
 from marl_explore.training.workers import AsyncWorkers, SyncWorkers, report
+from marl_explore.transforms.memory import MEMORY
 from marl_explore.utils.interrupts import detach, end_with_parent
+
+_REMEMBERED = "memory."
+"""Prefix of the entries of robots' memory in a collector's state."""
 
 
 class ResumableCollector(Collector):
@@ -41,6 +45,7 @@ class ResumableCollector(Collector):
     """
 
     _returns: Tensor | None = None
+    _memory: TensorDictBase | None = None
 
     def __init__(self, *args: Any, reports: Connection | None = None, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -57,6 +62,7 @@ class ResumableCollector(Collector):
             raise
         last = batch["next"][:, -1]
         self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
+        self._memory = last.get(MEMORY, None)
         return batch
 
     def state_dict(self) -> dict[str, bytes]:
@@ -70,15 +76,26 @@ class ResumableCollector(Collector):
             returns = self.env.full_reward_spec.zero()["reward"]
         tensors = {name: value.clone() for name, value in state.items() if name != "seed"}
         tensors |= {"returns": returns, "random": torch.get_rng_state()}
+        if self._memory is not None:
+            tensors |= {_REMEMBERED + name: x.clone() for name, x in self._memory.items()}
         return {"packed": save(tensors)}
 
     def load_state_dict(self, state_dict: dict[str, bytes], **_: Any) -> None:
         """Resume from a ``state_dict`` of a collector of the same arenas."""
         tensors = load(state_dict["packed"])
         random, returns = tensors.pop("random"), tensors.pop("returns")
+        remembered = {
+            name.removeprefix(_REMEMBERED): tensors.pop(name)
+            for name in [*tensors]
+            if name.startswith(_REMEMBERED)
+        }
         env = self.env.base_env
         env.load_state_dict({**tensors, "seed": env.state_dict()["seed"]})
-        observed = self.env.reset()  # of the loaded arenas
+        given = TensorDict({}, batch_size=env.batch_size)
+        if remembered:
+            self._memory = TensorDict(remembered, batch_size=remembered["heading"].shape)
+            given.set(MEMORY, self._memory)
+        observed = self.env.reset(given)  # of the loaded arenas
         # then a reset of no arena, which keeps the returns that it is given
         observed.set("_reset", torch.zeros_like(returns, dtype=torch.bool))
         self.reset(tensordict=observed.set("episode_reward", returns), set_state=False)

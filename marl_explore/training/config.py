@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from marl_explore.config.arena import ArenaConfig
@@ -45,6 +45,9 @@ class TrainConfig(NetworkSettings):
     """What actors do without: parts of the observation (read as 0), or communication."""
     critic_input: CriticInput = "observation"
     """Input of the critic: the joint observation (as in the paper) or the true state."""
+    team_sizes: tuple[int, ...] = ()
+    """Numbers of robots that train side by side, each in an equal share of the arenas; empty: only
+    that of the arena. The actors must be shared and choose among goals."""
     episodes: int = 5000
     """Length of training, n_e (episodes of episode_steps steps)."""
     episode_steps: int = 200
@@ -91,6 +94,7 @@ class TrainConfig(NetworkSettings):
         check_types(self)
         self._require_ranges()
         self._require_networks()
+        self._require_teams()
         self._require_batch()
 
     def _require_ranges(self) -> None:
@@ -124,6 +128,42 @@ class TrainConfig(NetworkSettings):
             self.critic_input,
             "ippo's critics must read their own robot's observation",
         )
+
+    def _require_teams(self) -> None:
+        """Check that the teams can share an actor, and that their arenas can be shared out."""
+        sizes = self.team_sizes
+        require(len(set(sizes)) == len(sizes), "team_sizes", sizes, "each may appear only once")
+        for size in sizes:
+            require_integer("team_sizes", size, 1)
+        require(
+            not sizes or (self.algorithm == "mappo" and self.network.chooses == "goals"),
+            "team_sizes",
+            sizes,
+            "it needs algorithm='mappo' and a network that chooses among goals",
+        )
+        require(
+            not sizes or self.num_envs % len(sizes) == 0,
+            "num_envs",
+            self.num_envs,
+            f"the {len(sizes)} team sizes need equal shares of the arenas",
+        )
+
+    @property
+    def teams(self) -> list[TrainConfig]:
+        """The run as that of each team size with its share of the arenas."""
+        if not self.team_sizes:
+            return [self]
+        share = self.num_envs // len(self.team_sizes)
+        return [
+            replace(
+                self,
+                arena=replace(self.arena, num_agents=size),
+                num_envs=share,
+                num_minibatches=1,
+                team_sizes=(),
+            )
+            for size in self.team_sizes
+        ]
 
     def _require_batch(self) -> None:
         """Check that a batch can be normalised and split, and that the run has at least one."""

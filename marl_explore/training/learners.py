@@ -61,7 +61,9 @@ def _loss(
         entropy_coeff=config.entropy_coeff,
         value_norm=PopArtValueNorm(beta=VALUE_NORM_DECAY) if config.value_norm else None,
     )
-    loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda)
+    loss.make_value_estimator(
+        gamma=config.gamma, lmbda=config.lmbda, deactivate_vmap=not config.network.vmaps
+    )
     return loss
 
 

@@ -29,7 +29,7 @@ class RestartingCollector:
     never wait, start with new arenas.
 
     Args:
-        start: makes the collector, given ``first_arena``.
+        make: makes the collector, given ``first_arena``.
         policy: its parameters are sent to the workers before every batch.
         run: which collector it is.
         num_envs: total number of arenas.
@@ -39,12 +39,12 @@ class RestartingCollector:
 
     def __init__(
         self,
-        start: Callable[..., BaseCollector],
+        make: Callable[..., BaseCollector],
         policy: TensorDictModuleBase,
         run: RunConfig,
         num_envs: int,
     ) -> None:
-        self._start, self._policy = start, policy
+        self._make, self._policy = make, policy
         self._kind, self._workers, self._num_envs = run.collector, run.workers, num_envs
         self._collector: BaseCollector | None = None
         self._states: list[Any] | None = None
@@ -70,13 +70,22 @@ class RestartingCollector:
         times = self.MAX_RESTARTS + 1
         raise WorkerError(f"workers died {times} times in a row; last error: {cause}") from cause
 
-    def _collect(self) -> TensorDictBase:
+    def start(self) -> None:
+        """Start the collector, if it is not running; ``next`` does so too.
+
+        Loading a state sets the random generators, so the collectors of one process must all be
+        started before any of them collects.
+        """
         if self._collector is None:
             lost = self._done if self._kind == "multiasync" else 0
-            self._collector = self._start(first_arena=lost * self._num_envs)
+            self._collector = self._make(first_arena=lost * self._num_envs)
             if self._states is not None:
                 self._collector.map_fn("load_state_dict", [(state,) for state in self._states])
             self._batches = iter(self._collector)
+
+    def _collect(self) -> TensorDictBase:
+        self.start()
+        assert self._collector is not None
         in_step = self._kind in ("multisync", "ray")
         if in_step:  # not with TorchRL's schemes, which wait forever for a worker that died
             weights = save(self._policy.state_dict())

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from functools import partial
+from statistics import fmean
 from typing import Any
 
 import torch
@@ -22,6 +23,7 @@ from marl_explore.training.memory import policy_config, require_training_memory
 from marl_explore.training.nan_guard import require_finite_batch
 from marl_explore.training.restarts import RestartingCollector
 from marl_explore.training.rollout_metrics import rollout_metrics
+from marl_explore.training.teams import TeamRollouts, join_teams
 
 
 class Trainer:
@@ -42,7 +44,7 @@ class Trainer:
         self, config: TrainConfig, run: RunConfig | None = None, fresh: bool = True
     ) -> None:
         run = run or RunConfig()
-        require_collector(run, config.num_envs)
+        require_collector(run, config.teams[0].num_envs)
         require_training_memory(config)
         torch.manual_seed(config.seed)
         self.config = config
@@ -58,20 +60,22 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(config.seed)
         self.factor_watch = FactorWatch()
         self.updates, self.seconds = 0, 0.0
-        self.rollouts = RestartingCollector(
-            partial(
-                make_collector,
-                partial(make_training_env, config),
-                self.policy.team,
-                num_envs=config.num_envs,
-                steps=config.rollout_steps,
-                run=run,
-                seed=config.seed,
-            ),
-            self.policy.team,
-            run,
-            config.num_envs,
+        self.rollouts = TeamRollouts(
+            {team.arena.num_agents: self._collector(team, run) for team in config.teams}, run
         )
+
+    def _collector(self, config: TrainConfig, run: RunConfig) -> RestartingCollector:
+        """The collector of the rollouts of teams of one size."""
+        make = partial(
+            make_collector,
+            partial(make_training_env, config),
+            self.policy.team,
+            num_envs=config.num_envs,
+            steps=config.rollout_steps,
+            run=run,
+            seed=config.seed,
+        )
+        return RestartingCollector(make, self.policy.team, run, config.num_envs)
 
     @property
     def frames(self) -> int:
@@ -90,8 +94,9 @@ class Trainer:
         start = time.perf_counter() - self.seconds
         try:
             while self.updates < self.config.updates:
-                batch = self.collect()
-                metrics = rollout_metrics(batch) | self.update(batch)
+                rollouts = self.collect()
+                metrics = mean_of([rollout_metrics(rollout) for rollout in rollouts])
+                metrics |= self.update(join_teams(rollouts))
                 self.updates += 1
                 self.seconds = time.perf_counter() - start
                 yield {
@@ -103,11 +108,12 @@ class Trainer:
         finally:
             self.rollouts.close()
 
-    def collect(self) -> TensorDictBase:
-        """The next rollout [B, T]."""
-        batch = self.rollouts.next()
-        require_finite_batch(batch, self.updates + 1)
-        return batch
+    def collect(self) -> list[TensorDictBase]:
+        """The next rollout [B, T] of each team size."""
+        rollouts = self.rollouts.next()
+        for rollout in rollouts:
+            require_finite_batch(rollout, self.updates + 1)
+        return rollouts
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the rest of the run depends on, between two updates."""
@@ -138,7 +144,7 @@ class Trainer:
             raise ValueError(f"the state does not fit this run: {first}") from error
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """One update of every learner on a rollout [B, T]; metrics are means over learners."""
+        """One update of every learner on a batch [B, T]; metrics are means over learners."""
         dtype = getattr(torch, self.config.precision)
         number = self.updates + 1
         with torch.autocast("cpu", dtype, enabled=dtype != torch.float32):
@@ -146,6 +152,12 @@ class Trainer:
                 learner.update(batch.copy(), self.generator, number)
                 for learner in self.learners.values()
             ]
-        metrics = {key: sum(one[key] for one in each) / len(each) for key in each[0]}
+        metrics = mean_of(each)
         self.factor_watch(metrics["factor_ess"], number)
         return metrics
+
+
+def mean_of(metrics: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Means of metrics over parts of a batch or learners, each over those that have it."""
+    names = dict.fromkeys(name for one in metrics for name in one)
+    return {name: fmean(one[name] for one in metrics if name in one) for name in names}

@@ -11,6 +11,8 @@ from torchrl.envs import Compose, Transform
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
 from marl_explore.transforms.frontier import Backend, FrontierReachability
+from marl_explore.transforms.goals import GoalCandidates
+from marl_explore.transforms.memory import RememberTeam
 from marl_explore.transforms.neighbors import CommunicationNeighbors
 from marl_explore.transforms.surroundings import Clock, LocalMap, StepGain
 from marl_explore.transforms.team import FrontierTerritory, Teammates
@@ -36,6 +38,10 @@ class Feature(NamedTuple):
     """Its transform; None: the environment computes it itself."""
 
 
+def _candidates(options: FeatureOptions) -> Transform:
+    return Compose(RememberTeam(options.arena.fov_radius), GoalCandidates(options.backend))
+
+
 FEATURES: dict[str, Feature] = {
     "fov": Feature(2, None),
     "fpr": Feature(2, lambda o: FrontierReachability(normalize=o.fpr, backend=o.backend)),
@@ -46,9 +52,13 @@ FEATURES: dict[str, Feature] = {
     ),
     "teammates": Feature(2, lambda _: Teammates(linked_key=LINKED)),
     "clock": Feature(1, lambda _: Clock()),
+    "frontiers": Feature(2, _candidates),
+    "rivals": Feature(3, _candidates),
+    "mates": Feature(2, _candidates),
+    "context": Feature(1, _candidates),
     "local": Feature(3, lambda _: LocalMap(linked_key=LINKED)),
 }
-"""A new feature is a transform and a row here."""
+"""A new feature is a transform and a row here; rows with the same function share its transform."""
 
 
 def make_features(
@@ -72,5 +82,9 @@ def make_features(
         if name not in FEATURES:
             raise ValueError(f"features={name!r} is not allowed: use some of {[*FEATURES]}")
     options = FeatureOptions(arena, fpr, backend)
-    made = (feature.make for name, feature in FEATURES.items() if name in names)
-    return Compose(*(make(options) for make in made if make is not None))
+    made = dict.fromkeys(feature.make for name, feature in FEATURES.items() if name in names)
+    chain: list[Transform] = []
+    for make in made:
+        part = () if make is None else make(options)
+        chain += part if isinstance(part, (Compose, tuple)) else (part,)
+    return Compose(*chain)

@@ -144,7 +144,7 @@ def test_an_unknown_normalisation_is_refused():
 @pytest.fixture
 def without_kernel(monkeypatch):
     reason = OSError("it was not built")
-    monkeypatch.setattr(native, "_library", lambda: reason)
+    monkeypatch.setattr(native, "_load", lambda name: reason)
 
 
 @pytest.mark.usefixtures("without_kernel")

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.policies.networks import CNN, MLP, DeepSet
+from marl_explore.policies.networks import CNN, MLP, DeepSet, Goals
 from marl_explore.training.config import TrainConfig
 
 NETWORKS = {
     "mlp": MLP(hidden=(16, 16)),
     "cnn": CNN(hidden=16, state_hidden=(16, 16)),
     "deepset": DeepSet(hidden=(16, 16)),
+    "goals": Goals(code_width=8, pair_width=4),
 }
 TINY = TrainConfig(
     arena=ArenaConfig(height=6, width=6, num_agents=2),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.envs import step_mdp
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core.grid import STAY
@@ -13,6 +15,7 @@ from marl_explore.evaluation.registry import find_policy
 from marl_explore.evaluation.results import evaluate
 from marl_explore.planners import PLANNERS, NearestFrontier, never
 from tests.helpers import oracle
+from tests.helpers.boards import arena
 from tests.helpers.situations import on_board
 
 
@@ -58,13 +61,67 @@ def test_a_robot_whose_move_was_refused_yields_with_a_random_move():
     td = td.expand(300).clone()
     td["agents", "dangerous"] = torch.tensor([True, False]).expand(300, 2)
     action = NearestFrontier(never)(td)["agents", "action"]
-    assert set(action[:, 0].tolist()) == {2, 3, 4}  # all open moves from the corner: E, SE, S
+    # all open moves from the corner, E, SE and S, and waiting
+    assert set(action[:, 0].tolist()) == {2, 3, 4, STAY}
     assert len(set(action[:, 1].tolist())) == 1
 
 
 def test_a_robot_that_is_shut_in_stays():
     _, td = on_board("0#.\n##.\n...", 3, 3)
     assert NearestFrontier(never)(td)["agents", "action"].tolist() == [[STAY]]
+
+
+NARROW = {
+    "a dead end": """
+        #####
+        #0..#
+        #1###
+        #####""",
+    "a corridor of one cell": """
+        ########
+        #...01.#
+        ####23.#
+        ########""",
+}
+
+
+@pytest.mark.parametrize("board", NARROW)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nearest-timer",
+        "fpr-greedy",
+        "utility-cost",
+        "sequential",
+        "hungarian",
+        "hedac",
+        "rendezvous",
+        "goal-utility",
+    ],
+)
+def test_robots_in_narrow_places_get_past_each_other(name, board):
+    """One of two robots has to wait until the other has left the only way."""
+    assert (steps_to_complete(name, "\n".join(NARROW[board].split()), 16) <= 300).all()
+
+
+def steps_to_complete(name, board, runs):
+    """Steps until some robot's map is complete, int64 [runs]."""
+    obstacles, position = arena(board)
+    height, width = obstacles.shape
+    config = ArenaConfig(height=height, width=width, num_agents=len(position))
+    env = ExplorationEnv(config, num_envs=runs, max_steps=301, terminate_at_coverage=1.0)
+    start = {"obstacles": obstacles, "agents": {"position": position}}
+    start = TensorDict(start).expand(runs).clone()
+    observed = env.reset(start, set_state=True)
+    policy, needed = find_policy(name, config), torch.full((runs,), 301)
+    torch.manual_seed(0)
+    for step in range(1, 301):
+        observed = step_mdp(env.step(policy(observed)))
+        complete = observed["terminated"].squeeze(-1)
+        needed = torch.where(complete, needed.clamp_max(step), needed)
+        if complete.all():
+            break
+    return needed
 
 
 def test_planners_explore_as_well_as_they_should():

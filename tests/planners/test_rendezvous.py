@@ -46,7 +46,7 @@ def test_with_others_cells_left_a_robot_walks_to_whom_it_saw_last():
         td["step_count"] = torch.tensor([[step]])
         assert names(planner.plan(knowing(td, known, other)))[0] == "E"
         # after three steps without a meeting it will look at those cells itself
-        assert planner._sightings.covered[0, 0].any() == (step < 3)
+        assert planner._covered[0, 0].any() == (step < 3)
 
 
 def test_memory_starts_anew_with_an_episode():
@@ -54,10 +54,10 @@ def test_memory_starts_anew_with_an_episode():
     planner = Rendezvous(env.config, never)
     near = placed(env, td, [0, 0], [0, 2])
     planner.plan(near)
-    assert planner._sightings.covered.any()
+    assert planner._covered.any()
     planner.plan(td)
-    assert not planner._sightings.covered.any()
-    assert (planner._sightings.step < 0).all()
+    assert not planner._covered.any()
+    assert (planner._seen.step < 0).all()
 
 
 def test_a_robot_answers_one_that_waits_beside_it():

@@ -37,7 +37,7 @@ def influence(critic, batch):
 @pytest.mark.parametrize("network", ["mlp", "cnn"])
 def test_each_of_ippos_critics_reads_its_own_robot(network):
     trainer = trainer_of("ippo", network)
-    batch = trainer.collect()
+    (batch,) = trainer.collect()
     assert list(trainer.learners) == [f"robot_{i}" for i in range(ROBOTS)]
     for robot, learner in enumerate(trainer.learners.values()):
         assert influence(learner.critic, batch).tolist() == [i == robot for i in range(ROBOTS)]
@@ -48,12 +48,12 @@ def test_each_of_ippos_critics_reads_its_own_robot(network):
 def test_the_critic_of_a_team_reads_all_robots(algorithm):
     trainer = trainer_of(algorithm)
     (learner,) = trainer.learners.values()
-    assert influence(learner.critic, trainer.collect()).all()
+    assert influence(learner.critic, *trainer.collect()).all()
 
 
 def test_ippos_robots_learn_from_one_reward_and_no_factor():
     trainer = trainer_of("ippo")
-    batch = trainer.collect()
+    (batch,) = trainer.collect()
     metrics = trainer.update(batch)
     assert metrics["factor_ess"] == metrics["factor_mean"] == 1
     assert batch.get("advantage", None) is None  # every learner wrote into a copy of its own
@@ -63,7 +63,7 @@ def test_ippos_robots_learn_from_one_reward_and_no_factor():
 def test_mappos_objective_is_the_mean_over_robots_of_clipped_ppo(network):
     trainer = trainer_of("mappo", network)
     (learner,) = trainer.learners.values()
-    batch = learner.loss.estimate_advantage(trainer.collect()).reshape(-1)
+    batch = learner.loss.estimate_advantage(*trainer.collect()).reshape(-1)
     actor = trainer.policy.actors[0]
     with torch.no_grad():
         for parameter in actor.parameters():

@@ -41,8 +41,10 @@ def parameters(trainer):
         replace(SMALL, critic_input="state", lr_decay=True, reward="team", fpr="proximity"),
         replace(SMALL, algorithm="mappo"),
         replace(SMALL, algorithm="ippo", network=NETWORKS["cnn"]),
+        replace(SMALL, algorithm="mappo", network=NETWORKS["goals"]),
+        replace(SMALL, algorithm="happo", network=NETWORKS["goals"]),
     ],
-    ids=["mlp", "cnn", "state critic", "mappo", "ippo"],
+    ids=["mlp", "cnn", "state critic", "mappo", "ippo", "goals", "goals of each robot"],
 )
 def test_the_same_seed_gives_the_same_curve_to_the_last_bit(config):
     torch.rand(7)  # whatever happened before does not matter

@@ -5,18 +5,14 @@
  * compiler. On small grids, with compilers that know vectors, sets of labels spread over whole rows
  * of cells at a time, which is several times faster.
  */
+#include "grid.h"
+
 #include <math.h>
-#include <stdint.h>
 #include <stdlib.h>
-#include <string.h>
 
-enum { UNKNOWN = -1, FREE = 0, OCCUPIED = 1 };
 enum { RAW = 0, RELATIVE = 1, PROXIMITY = 2, ABSOLUTE = 3 };
-enum { DIRECTIONS = 8, FEATURES = 3 };
+enum { FEATURES = 3 };
 enum { ALIGNMENT = 64 };
-
-static const int STEP_ROW[DIRECTIONS] = {-1, -1, 0, 1, 1, 1, 0, -1};
-static const int STEP_COLUMN[DIRECTIONS] = {0, 1, 1, 1, 0, -1, -1, -1};
 
 typedef struct {
     int64_t number, total, squares;
@@ -38,8 +34,7 @@ static void count(Moments *moments, int64_t *longest, int direction, int64_t len
 
 /* ------------------------------------------------------------------ search by queue */
 
-/* Cells of a grid with a border: `stride` bytes a row, so that the left neighbour of a row's first
- * cell is the border cell at the end of the row above. */
+/* Cells of a grid with a border (grid.h), `stride` a row. */
 typedef struct {
     int64_t stride;
     int8_t *code;     /* UNKNOWN, FREE or OCCUPIED; the border is occupied */
@@ -49,22 +44,19 @@ typedef struct {
     int32_t *queue;
 } Grid;
 
-static int64_t padded_cells(const Task *task) {
-    return (task->height + 2) * (task->width + 1) + 1;
+static int64_t queue_bytes(const Task *task) {
+    return 11 * bordered_cells(task->height, task->width);
 }
 
-static int64_t queue_bytes(const Task *task) { return 11 * padded_cells(task); }
-
 static Grid read_grid(const Task *task, const int8_t *map) {
-    const int64_t cells = padded_cells(task);
+    const int64_t cells = bordered_cells(task->height, task->width);
     Grid grid = {.stride = task->width + 1, .length = task->memory};
     grid.queue = grid.length + cells;
     grid.code = (int8_t *)(grid.queue + cells);
     grid.fresh = (uint8_t *)grid.code + cells;
     grid.label = grid.fresh + cells;
     memset(grid.code, OCCUPIED, cells);
-    for (int64_t row = 0; row < task->height; row++)
-        memcpy(grid.code + (row + 1) * grid.stride + 1, map + row * task->width, task->width);
+    copy_inside(grid.code, map, task->height, task->width);
     for (int64_t i = 0; i < cells; i++)
         grid.fresh[i] = grid.code[i] == FREE;
     return grid;
@@ -340,7 +332,7 @@ int marl_explore_frontier_tables(const int8_t *maps, const int64_t *positions, i
     rows = rows && spreads(&task);
     uint8_t *memory = malloc(bytes + ALIGNMENT);
     if (memory == NULL)
-        return 1;
+        return NO_MEMORY;
     task.memory = memory + ALIGNMENT - (uintptr_t)memory % ALIGNMENT;
     int outside = 0;
     for (int64_t robot = 0; robot < robots && !outside; robot++) {
@@ -349,7 +341,7 @@ int marl_explore_frontier_tables(const int8_t *maps, const int64_t *positions, i
         Moments moments[DIRECTIONS];
         int64_t longest = 0;
         memset(moments, 0, sizeof moments);
-        outside = row < 0 || row >= height || column < 0 || column >= width;
+        outside = !is_inside(row, column, height, width);
         if (outside)
             break;
         if (!rows || !spread(&task, map, row, column, moments, &longest))
@@ -357,5 +349,5 @@ int marl_explore_frontier_tables(const int8_t *maps, const int64_t *positions, i
         write_table(moments, longest, mode, height, width, tables + robot * DIRECTIONS * FEATURES);
     }
     free(memory);
-    return outside ? 2 : 0;
+    return outside ? OUTSIDE : DONE;
 }

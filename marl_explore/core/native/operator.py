@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
-
 import torch
 from torch import Tensor
 
@@ -16,6 +12,7 @@ from marl_explore.config.constants import (
     Normalization,
 )
 from marl_explore.core import native
+from marl_explore.core.native.threads import share_rows
 
 ROBOTS_PER_THREAD = 512
 """Smaller batches finish before another thread has started."""
@@ -46,20 +43,8 @@ def _frontier_table(grid: Tensor, position: Tensor, mode: int, rows: bool) -> Te
             table.data_ptr() + first * NUM_DIRECTIONS * NUM_FEATURES * table.element_size(),
         )
 
-    threads = max(1, min(torch.get_num_threads(), robots // ROBOTS_PER_THREAD))
-    bounds = [robots * i // threads for i in range(threads + 1)]
-    run_all = map if threads == 1 else _pool(threads).map
-    native.check(max(run_all(run, bounds[:-1], bounds[1:])), height, width)
+    native.check(share_rows(run, robots, ROBOTS_PER_THREAD), height, width)
     return table
-
-
-@lru_cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="frontier")
-
-
-if hasattr(os, "register_at_fork"):  # threads do not survive a fork
-    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 @torch.library.register_fake(_OPERATOR)

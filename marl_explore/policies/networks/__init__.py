@@ -16,6 +16,7 @@ from marl_explore.config.fields import read_fields
 from marl_explore.policies.networks.base import CriticInput, Network
 from marl_explore.policies.networks.cnn import CNN
 from marl_explore.policies.networks.deepset import DeepSet
+from marl_explore.policies.networks.goals import Goals
 from marl_explore.policies.networks.inputs import OBSERVATION_KEYS, PAPER_INPUTS
 from marl_explore.policies.networks.mlp import MLP
 
@@ -30,12 +31,13 @@ __all__ = [
     "PAPER_INPUTS",
     "CriticInput",
     "DeepSet",
+    "Goals",
     "Network",
     "NetworkSettings",
     "network_from_json",
 ]
 
-NETWORKS: dict[str, type[Network]] = {kind.name: kind for kind in (MLP, CNN, DeepSet)}
+NETWORKS: dict[str, type[Network]] = {kind.name: kind for kind in (MLP, CNN, DeepSet, Goals)}
 """Every kind of network by name."""
 
 

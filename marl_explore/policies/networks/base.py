@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.policies.networks.inputs import OBSERVATION_KEYS
+from marl_explore.policies.networks.inputs import observation_keys
 from marl_explore.policies.networks.state import STATE_KEYS, STATE_WIDTHS, StateCritic
 
 CriticInput = Literal["observation", "state"]
@@ -32,12 +32,16 @@ class Network(ABC):
     """Whether a shared actor works for any number of robots."""
     sees: ClassVar[str] = "own FOV, FPR, NET"
     """The information that a robot's decisions use, as text."""
+    chooses: ClassVar[Literal["moves", "goals"]] = "moves"
+    """What its actors choose among: the ten actions, or candidate goals (docs/goals.md)."""
+    vmaps: ClassVar[bool] = True
+    """Whether its critics can run under ``torch.vmap``."""
     exported_as: ClassVar[str | None] = None
     """Its numpy version for robots (``robot.networks.TWINS``); None: it has none."""
 
     @abstractmethod
     def make_actor(self, arena: ArenaConfig) -> nn.Module:
-        """A new actor: from the parts of one robot's observation to logits [*B, 10]."""
+        """A new actor: from the parts of one robot's observation to the logits of its choices."""
 
     def make_state_critic(self, arena: ArenaConfig) -> nn.Module:
         """A new critic of the true state, whose entries are ``state.STATE_KEYS``: value [*B, 1]."""
@@ -68,7 +72,7 @@ class Network(ABC):
                 f"critic_input={critic_input!r} is not allowed: with {self.name} actors the "
                 "critic must read the state"
             )
-        return TensorDictModule(found, OBSERVATION_KEYS, ["state_value"])
+        return TensorDictModule(found, observation_keys(self.features), ["state_value"])
 
     @property
     def critic_inputs(self) -> tuple[CriticInput, ...]:

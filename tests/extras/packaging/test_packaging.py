@@ -89,9 +89,9 @@ def test_both_hold_every_file_of_the_package(built, files):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     assert files <= names
-    kernel = {name for name in names if name.startswith("marl_explore/core/native/_frontier")}
-    assert len(kernel) == 1
-    assert {n for n in names if n.startswith("marl_explore/")} == files | kernel
+    kernels = {name for name in names if name.startswith("marl_explore/core/native/_")} - files
+    assert {name.split("/")[-1].split(".")[0] for name in kernels} == {"_frontier", "_goals"}
+    assert {n for n in names if n.startswith("marl_explore/")} == files | kernels
     with tarfile.open(sdist) as archive:
         top = sdist.name.removesuffix(".tar.gz")
         assert {f"{top}/{name}" for name in files} <= set(archive.getnames())

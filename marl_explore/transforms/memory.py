@@ -1,0 +1,157 @@
+"""A robot's memory of its team: in the TensorDict of an environment, or kept beside one."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import Transform
+
+from marl_explore.core.memory import (
+    Observation,
+    Sightings,
+    TeamMemory,
+    blank_memory,
+    remember,
+    where_begun,
+)
+
+MEMORY: NestedKey = ("agents", "memory")
+GOAL: NestedKey = ("agents", "memory", "goal")
+"""The only entry of the memory that a policy writes: the cell that each robot goes to."""
+ALL_COVERED: NestedKey = ("agents", "memory", "all_covered")
+"""Whether the robot could reach frontiers, all of them covered (``GoalCandidates`` writes it)."""
+OBSERVED: list[NestedKey] = [
+    "step_count",
+    ("agents", "map"),
+    ("agents", "position"),
+    ("agents", "linked"),
+    ("agents", "steps_since_merge"),
+]
+
+
+def observation_of(tensordict: TensorDictBase) -> Observation:
+    """What robots remember of an environment's step."""
+    return Observation(*(tensordict.get(key) for key in OBSERVED))
+
+
+def to_tensordict(memory: TeamMemory, all_covered: Tensor) -> TensorDict:
+    """The memory as the group of entries ``MEMORY``, batch [*B, N]."""
+    entries = {**memory.seen._asdict(), **memory._asdict(), "all_covered": all_covered}
+    del entries["seen"]
+    return TensorDict(entries, batch_size=memory.heading.shape)
+
+
+def from_tensordict(entries: TensorDictBase) -> TeamMemory:
+    """The inverse of ``to_tensordict``."""
+    seen = Sightings(*(entries.get(name) for name in Sightings._fields))
+    rest = (entries.get(name) for name in TeamMemory._fields if name != "seen")
+    return TeamMemory(seen, *rest)
+
+
+class RememberTeam(Transform):
+    """Keeps the memory of every robot (docs/goals.md) in the entries ("agents", "memory", ...).
+
+    On an environment all state is in the TensorDict, so it is exact in every collector. An arena's
+    memory is blank when its episode begins; a reset with ``set_state`` to a later step takes the
+    memory that it is given. A step reads the memory of the step before, in which a policy has
+    written the ``goal`` it chose.
+
+    Called as a module, once per step, it adds its own memory to a TensorDict without one, so that a
+    policy can act on an environment without it. What others then write into that group, such as the
+    goal, it finds there in the next step.
+
+    Args:
+        radius: half side of the field of view (cells).
+    """
+
+    def __init__(self, radius: int = 1) -> None:
+        super().__init__(in_keys=list(OBSERVED), out_keys=[MEMORY])
+        self.radius = radius
+        self._kept: TensorDictBase | None = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add the memory to a TensorDict that has none."""
+        if tensordict.get(MEMORY, None) is not None:
+            return tensordict
+        kept, maps = self._kept, tensordict.get(("agents", "map"))
+        if kept is not None and kept.get("covered").shape != maps.shape:
+            kept = None  # other arenas
+        tensordict.set(MEMORY, self._remember(tensordict, kept))
+        self._kept = tensordict.get(MEMORY)  # the group itself: ``set`` may have copied it
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        before = tensordict.get(MEMORY)
+        return next_tensordict.set(MEMORY, self._remember(next_tensordict, before))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        memory, given = self._remember(tensordict_reset, None), tensordict.get(MEMORY, None)
+        if given is not None:
+            started = where_begun(
+                _begun(tensordict_reset), from_tensordict(memory), from_tensordict(given)
+            )
+            memory = to_tensordict(started, given.get("all_covered"))
+        return tensordict_reset.set(MEMORY, memory)
+
+    def _remember(self, tensordict: TensorDictBase, before: TensorDictBase | None) -> TensorDict:
+        """The memory after the observation in a TensorDict, blank at the start of an episode."""
+        observed = observation_of(tensordict)
+        memory = blank = blank_memory(observed.grid, observed.position)
+        covered = torch.zeros_like(blank.heading, dtype=torch.bool)
+        if before is not None:
+            begun = _begun(tensordict)
+            memory = where_begun(begun, blank, from_tensordict(before))
+            covered = before.get("all_covered") & ~begun.unsqueeze(-1)
+        after = remember(memory, observed, covered, self.radius)
+        return to_tensordict(after, torch.zeros_like(covered))  # until candidates are found
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the memory's entries to the observation spec."""
+        return self._with_memory(observation_spec, observation_spec)
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Add the memory's entries to the state spec: a step depends on them."""
+        parent = self.parent
+        assert parent is not None
+        return self._with_memory(state_spec, parent.observation_spec)
+
+    def _with_memory(self, spec: Composite, observation: Composite) -> Composite:
+        spec = spec.clone()
+        spec[MEMORY] = memory_spec(observation["agents", "map"])
+        return spec
+
+
+def _begun(tensordict: TensorDictBase) -> Tensor:
+    """Whether each team's episode begins, bool [*B]."""
+    return (tensordict.get("step_count") == 0).squeeze(-1)
+
+
+def memory_spec(maps: Bounded) -> Composite:
+    """Specs of the memory of a team whose maps are int8 [*B, N, H, W]."""
+    *batch, robots, height, width = maps.shape
+    team, device = (*batch, robots), maps.device
+
+    def integer(*shape: int) -> Unbounded:
+        return Unbounded(shape=(*team, *shape), dtype=torch.int64, device=device)
+
+    def flag(*shape: int) -> Binary:
+        return Binary(shape=(*team, *shape), dtype=torch.bool, device=device)
+
+    return Composite(
+        step=integer(robots),
+        cell=integer(robots, 2),
+        waited=flag(robots),
+        known_by=flag(robots, height, width),
+        covered=flag(height, width),
+        stuck=integer(),
+        position=integer(2),
+        heading=Bounded(-1, 7, shape=team, dtype=torch.int64, device=device),
+        goal=integer(2),
+        all_covered=flag(),
+        shape=team,
+        device=device,
+    )

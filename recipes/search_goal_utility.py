@@ -1,0 +1,176 @@
+"""Search the weights of the planner ``goal-utility`` with an evolution strategy (CMA-ES).
+
+python recipes/search_goal_utility.py --generations 60 --out goal-utility.json
+
+Every generation plays each candidate on the same newly drawn training arenas of several suites and
+team sizes; its loss is the mean number of steps to a complete map, relative to that of the weights
+that the search starts from. It needs ``pip install .[search]``.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from cmaes import CMA
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs import step_mdp
+
+from marl_explore import (
+    ExplorationEnv,
+    GoalUtility,
+    GoalWeights,
+    default_config,
+    default_steps,
+)
+
+TASKS = (
+    ("paper-12", 4, 48),
+    ("paper-12", 8, 24),
+    ("paper-12", 6, 24),
+    ("open-24", 4, 12),
+    ("open-24", 8, 8),
+    ("corridor-24", 4, 16),
+    ("rooms-32", 4, 8),
+    ("maze-32", 4, 8),
+    ("cave-48", 4, 3),
+)
+"""Suite, robots, and arenas per generation."""
+SCALES = GoalWeights(
+    moves=0.05,
+    log_moves=0.2,
+    near_gain=0.3,
+    middle_gain=0.4,
+    far_gain=0.6,
+    merged_cells=0.2,
+    pocket=0.3,
+    isolation=0.2,
+    last_goal=0.2,
+    ahead=0.1,
+    move_gain=0.3,
+    linked_rival=0.4,
+    rival_scale=0.5,
+    knowing_rival=0.3,
+    unknowing_rival=0.3,
+    arrived_rival=0.3,
+    memory=30.0,
+    mate_moves=0.05,
+    mate_age=0.5,
+    mate_unshared=0.5,
+    timer=1.5,
+    start=0.3,
+)
+"""One standard deviation of each weight at sigma = 1."""
+LOWEST = {"rival_scale": 0.2, "memory": 1.0, "timer": 1.0, "start": 0.0}
+"""Bounds of weights that have one."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of the search."""
+
+    generations: int = 60
+    population: int = 12
+    sigma: float = 0.4
+    """Initial standard deviation, in ``SCALES``."""
+    average: int = 10
+    """The result is the mean of the last so many generations' means."""
+    seed: int = 0
+    out: Path = Path("goal-utility.json")
+
+
+@torch.no_grad()
+def play(weights: GoalWeights, suite: str, robots: int, first: int, arenas: int) -> Tensor:
+    """Steps until the largest map is complete, [candidates, arenas]; horizon + 1 if it is not.
+
+    Args:
+        weights: tensors [candidates], or numbers for a single candidate.
+        suite, robots: the task.
+        first: number of the first training arena.
+        arenas: how many.
+    """
+    config, steps = replace(default_config(suite), num_agents=robots), default_steps(suite)
+    drawn = ExplorationEnv(
+        config, num_envs=arenas, arenas=suite, stream="train", first_arena=first
+    ).reset()
+    candidates = len(torch.as_tensor(weights.moves).flatten())
+    batch = candidates * arenas
+
+    def repeated(entry: Tensor) -> Tensor:
+        return entry.repeat(candidates, *[1] * (entry.ndim - 1))
+
+    start = TensorDict(
+        {
+            "obstacles": repeated(drawn["obstacles"]),
+            "agents": {"position": repeated(drawn["agents", "position"])},
+        },
+        batch_size=[batch],
+    )
+    env = ExplorationEnv(config, num_envs=batch, max_steps=steps, terminate_at_coverage=1.0)
+    observed = env.reset(start, set_state=True)
+    each = {
+        name: torch.as_tensor(value).view(-1, 1).expand(candidates, arenas).reshape(-1, 1, 1)
+        for name, value in asdict(weights).items()
+    }
+    planner = GoalUtility(config.fov_radius, GoalWeights(**each))
+    needed = torch.full((batch,), steps + 1)
+    for step in range(1, steps + 1):
+        observed = step_mdp(env.step(planner(observed)))
+        complete = observed["terminated"].squeeze(-1)
+        needed = torch.where(complete, needed.clamp_max(step), needed)
+        if complete.all():
+            break
+    return needed.view(candidates, arenas)
+
+
+def as_weights(points: np.ndarray) -> GoalWeights:
+    """The weights at points [candidates, weights] of the search."""
+    start, scale = (np.array([*asdict(w).values()]) for w in (GoalWeights(), SCALES))
+    columns = torch.from_numpy(start + scale * points).float().unbind(-1)
+    names = [field.name for field in fields(GoalWeights)]
+    return GoalWeights(
+        **{
+            name: column.clamp_min(LOWEST.get(name, -torch.inf))
+            for name, column in zip(names, columns, strict=True)
+        }
+    )
+
+
+def main(arguments: Arguments) -> None:
+    """Run the search; the file holds the result and every generation's loss."""
+    torch.manual_seed(arguments.seed)
+    size = len(fields(GoalWeights))
+    search = CMA(
+        mean=np.zeros(size),
+        sigma=arguments.sigma,
+        population_size=arguments.population,
+        seed=arguments.seed,
+    )
+    base = [float(play(GoalWeights(), suite, n, 0, 8 * k).double().mean()) for suite, n, k in TASKS]
+    means, history, begun = [], [], time.perf_counter()
+    for generation in range(1, arguments.generations + 1):
+        points = [search.ask() for _ in range(arguments.population)]
+        weights = as_weights(np.stack(points))
+        loss = np.zeros(arguments.population)
+        for (suite, robots, arenas), usual in zip(TASKS, base, strict=True):
+            steps = play(weights, suite, robots, generation * 1000, arenas)
+            loss += steps.double().mean(-1).numpy() / usual / len(TASKS)
+        search.tell([*zip(points, loss.tolist(), strict=True)])
+        means.append(search.mean.copy())
+        history.append({"best": loss.min(), "mean": loss.mean(), "spread": float(np.std(points))})
+        found = as_weights(np.mean(means[-arguments.average :], 0)[None])
+        result = {name: round(float(value), 4) for name, value in asdict(found).items()}
+        record = {"weights": result, "tasks": TASKS, "usual_steps": base, "generations": history}
+        arguments.out.write_text(json.dumps(record, indent=1))
+        seconds = time.perf_counter() - begun
+        print(f"{generation:3} {seconds:6.0f} s  best {loss.min():.3f}  mean {loss.mean():.3f}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

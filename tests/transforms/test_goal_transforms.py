@@ -1,0 +1,209 @@
+"""Memory and candidate goals in TensorDicts: on environments, in policies, in collectors."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import ParallelEnv, RewardSum, check_env_specs, step_mdp
+
+from marl_explore import ArenaConfig, ExplorationEnv, make_env
+from marl_explore.core import native
+from marl_explore.core.memory import blank_memory, remember
+from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.training.collectors import ResumableCollector
+from marl_explore.transforms.goals import Candidates, find_candidates
+from marl_explore.transforms.memory import (
+    ALL_COVERED,
+    GOAL,
+    MEMORY,
+    RememberTeam,
+    from_tensordict,
+    observation_of,
+    to_tensordict,
+)
+from tests.helpers.configs import NETWORKS
+
+FEATURES = ("fov", *Candidates._fields)
+ARENA = ArenaConfig(height=7, width=8, num_agents=3, communication_range=1.6)
+
+
+def goal_env(num_envs=4, config=ARENA, **task):
+    return make_env(config, num_envs=num_envs, features=FEATURES, **task)
+
+
+def a_policy(config=ARENA, shared=True):
+    torch.manual_seed(0)
+    spec = PolicyConfig(config, NETWORKS["goals"], shared=shared)
+    return Policy(spec, spec.make_actors())
+
+
+def same(one, two):
+    """Whether two groups have the same entries."""
+    assert set(one.keys()) == set(two.keys())
+    return all(torch.equal(one[key], two[key]) for key in set(one.keys()))
+
+
+@pytest.mark.parametrize("robots", [1, 3])
+def test_environments_with_memory_keep_torchrls_contract(robots):
+    config = ArenaConfig(height=6, width=7, num_agents=robots)
+    check_env_specs(goal_env(2, config, max_steps=5))
+
+
+def test_on_an_environment_memory_is_that_of_each_episode():
+    """Episodes of 6 steps that follow each other: every row as by ``core.memory``."""
+    env = goal_env(max_steps=6)
+    history = env.rollout(20, a_policy(), break_when_any_done=False)
+    memory = None
+    for step in history.unbind(1):
+        observed = observation_of(step)
+        begun = step["step_count"].squeeze(-1) == 0
+        if begun.all():
+            before = blank_memory(observed.grid, observed.position)
+            covered = torch.zeros_like(before.stuck, dtype=torch.bool)
+        else:
+            assert not begun.any()
+            before, covered = from_tensordict(memory), memory["all_covered"]
+        expected = to_tensordict(remember(before, observed, covered, radius=1), step[ALL_COVERED])
+        now = step[MEMORY]
+        assert same(now.exclude("goal"), expected.exclude("goal"))  # a policy has set the goal
+        memory = now
+    assert history["next", "done"].sum() == 3 * 4
+    assert history[MEMORY]["known_by"].any()
+    assert (history[GOAL] >= 0).any()
+
+
+def test_a_policy_writes_the_goal_that_the_next_memory_holds():
+    env = goal_env()
+    acted = a_policy()(env.reset())
+    assert (acted[GOAL] >= 0).any()
+    assert step_mdp(env.step(acted))[GOAL].equal(acted[GOAL])
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_policy_remembers_by_itself_what_an_environment_would(shared):
+    """The same actions, over episodes that end at different times."""
+    task = {"max_steps": 25, "terminate_at_coverage": 0.9}
+    with_memory, bare = goal_env(**task), ExplorationEnv(ARENA, num_envs=4, **task)
+    policy, other = a_policy(shared=shared), a_policy(shared=shared)
+    one, two = with_memory.reset(), bare.reset()
+    for seed in range(60):
+        torch.manual_seed(seed)
+        one = policy(one)
+        torch.manual_seed(seed)
+        two = other(two)
+        assert two["agents", "action"].equal(one["agents", "action"])
+        assert two.get(MEMORY, None) is None
+        one, two = (
+            env.step_and_maybe_reset(td)[1] for env, td in ((with_memory, one), (bare, two))
+        )
+
+
+@pytest.mark.skipif(native.missing() is not None, reason=str(native.missing()))
+def test_both_backends_find_the_same_candidates():
+    for step in goal_env().rollout(20, a_policy()).unbind(1):
+        one, two = (find_candidates(step, backend) for backend in ("torch", "native"))
+        for name, entry in one._asdict().items():
+            assert entry.equal(getattr(two, name)), name
+
+
+def test_a_step_goes_on_from_the_state_and_memory_it_is_given():
+    env, policy = goal_env(), a_policy()
+    history = env.rollout(12, policy)
+    later = history[:, 8].clone()
+    other = goal_env(seed=5)
+    other.reset()
+    state = later.select(*other.state_spec.keys(True, True))
+    observed = other.reset(state, set_state=True)
+    assert same(observed[MEMORY], later[MEMORY])
+    assert observed["agents", "observation", "rivals"].equal(
+        later["agents", "observation", "rivals"]
+    )
+    after = step_mdp(other.step(observed.set(("agents", "action"), later["agents", "action"])))
+    assert same(after[MEMORY].exclude("goal"), history[:, 9][MEMORY].exclude("goal"))
+
+
+def test_a_reset_to_the_middle_of_an_episode_without_memory_starts_a_new_one():
+    env = goal_env()
+    later = env.rollout(9, a_policy())[:, 8]
+    state = later.select(*ExplorationEnv(ARENA, num_envs=4).full_state_spec.keys(True, True))
+    observed = env.reset(state, set_state=True)
+    fresh = blank_memory(later["agents", "map"], later["agents", "position"])
+    never = torch.zeros_like(fresh.stuck, dtype=torch.bool)
+    expected = to_tensordict(
+        remember(fresh, observation_of(later), never, 1), observed[ALL_COVERED]
+    )
+    assert same(observed[MEMORY], expected)
+
+
+def test_a_plain_reset_forgets_a_memory_that_lies_in_the_tensordict():
+    env = goal_env()
+    last = env.rollout(9, a_policy())[:, -1]
+    observed = env.reset(last.select(MEMORY), set_state=False)
+    assert (observed[MEMORY, "step"] <= 0).all()
+    assert not observed[MEMORY, "stuck"].any()
+
+
+def test_environments_in_worker_processes_remember_alike():
+    """Memory is an input of a step, so that it reaches workers."""
+    alone = goal_env(2, max_steps=4)
+    workers = ParallelEnv(1, partial(goal_env, 2, max_steps=4))
+    try:
+        assert set(alone.state_spec.keys(True, True)) == set(workers.state_spec.keys(True, True))
+        policy = a_policy()
+        one, two = alone.reset(), workers.reset()
+        for seed in range(9):
+            torch.manual_seed(seed)
+            one = policy(one)
+            torch.manual_seed(seed)
+            two = policy(two)
+            assert two["agents", "action"][0].equal(one["agents", "action"])
+            one, two = (
+                env.step_and_maybe_reset(td)[1] for env, td in ((alone, one), (workers, two))
+            )
+    finally:
+        workers.close()
+
+
+def test_a_collectors_state_holds_the_memory():
+    """A new collector that loads it continues exactly, in the middle of episodes."""
+
+    def collector():
+        policy = a_policy()
+        env = goal_env(max_steps=17)
+        env.append_transform(RewardSum())
+        return ResumableCollector(
+            env,
+            policy.team,
+            frames_per_batch=4 * 10,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+        )
+
+    torch.manual_seed(3)
+    first = collector()
+    first.rollout()
+    state = first.state_dict()
+    expected = [first.rollout().clone() for _ in range(2)]  # it reuses its memory
+    second = collector()
+    second.load_state_dict(state)
+    for batch in expected:
+        again = second.rollout()
+        for key in (("agents", "action"), ("agents", "choice"), (*MEMORY, "known_by")):
+            assert again[key].equal(batch[key]), key
+    first.shutdown()
+    second.shutdown()
+
+
+def test_the_module_keeps_what_others_write_into_its_memory():
+    env, keeper = ExplorationEnv(ARENA, num_envs=2), RememberTeam()
+    first = keeper(env.reset())
+    first[GOAL] = torch.full_like(first[GOAL], 3)
+    stepped = env.step(first.set(("agents", "action"), torch.full((2, 3), 8)))
+    second = keeper(step_mdp(stepped).exclude(MEMORY))
+    assert (second[GOAL] == 3).all()
+    anew = keeper(env.reset())
+    assert (anew[GOAL] == -1).all()
+    assert keeper(TensorDict(anew, batch_size=[2]))[MEMORY] is anew[MEMORY]
