@@ -233,7 +233,7 @@ class _Robots:
             (column.unsqueeze(1) - column.unsqueeze(2)).abs(),
         )
         counted = filled.unsqueeze(1) & (apart > self.radius)
-        return torch.where(counted, apart, FAR_CELLS).amin(-1).clamp_max(FAR_CELLS)
+        return torch.where(counted, apart, FAR_CELLS).amin(-1)
 
     def _turn(self, move: Tensor) -> Tensor:
         """Eighths of a circle between a move and the last one, 0 to 4; -1 without a last one."""

@@ -28,49 +28,49 @@ Weight = float | Tensor
 class GoalWeights:
     """Weights and scales of the utility; all shares are at most 1 (docs/planners.md)."""
 
-    moves: Weight = 0.144
+    moves: Weight = 0.092
     """Price of a move."""
-    log_moves: Weight = 0.228
+    log_moves: Weight = -0.06
     """Price of the logarithm of the moves."""
-    near_gain: Weight = 2.09
+    near_gain: Weight = 2.015
     """Share of unseen cells in the field of view there."""
-    middle_gain: Weight = -1.09
+    middle_gain: Weight = -1.03
     """The same of a square of twice the radius."""
-    far_gain: Weight = -1.93
+    far_gain: Weight = -1.155
     """The same of a square of four times the radius."""
-    merged_cells: Weight = 0.416
+    merged_cells: Weight = 0.581
     """n / (n + 4) for the n frontier cells that it stands for."""
-    pocket: Weight = 0.684
+    pocket: Weight = 0.66
     """exp(-n / 8) for an unseen region of n cells."""
-    isolation: Weight = 0.486
+    isolation: Weight = 0.555
     """n / (n + 6) for the distance n to the next candidate."""
-    last_goal: Weight = 0.331
+    last_goal: Weight = 0.109
     """Whether it is within the field of view of the last goal."""
-    ahead: Weight = -0.104
+    ahead: Weight = -0.063
     """Cosine of the turn."""
-    move_gain: Weight = 0.842
+    move_gain: Weight = 0.89
     """Share of unseen cells in the field of view after the first move."""
-    linked_rival: Weight = 2.317
+    linked_rival: Weight = 2.544
     """Price of linked teammates that are nearer."""
-    rival_scale: Weight = 1.798
+    rival_scale: Weight = 2.346
     """Difference of moves to which being nearer is resolved."""
-    knowing_rival: Weight = 1.86
+    knowing_rival: Weight = 1.924
     """Price of unlinked teammates that are nearer and know the place."""
-    unknowing_rival: Weight = 0.535
+    unknowing_rival: Weight = 0.49
     """Price of unlinked teammates that are nearer and may not know the place."""
-    arrived_rival: Weight = 0.867
+    arrived_rival: Weight = 0.126
     """Price of unlinked teammates that know the place and may have got there since."""
-    memory: Weight = 118.7
+    memory: Weight = 99.697
     """Time in which sightings fade (steps)."""
-    mate_moves: Weight = 0.07
+    mate_moves: Weight = 0.025
     """Price of a move to a teammate, when all frontiers are covered."""
-    mate_age: Weight = 0.196
+    mate_age: Weight = -0.934
     """n / (n + 32) for n steps since it was seen."""
-    mate_unshared: Weight = -0.761
+    mate_unshared: Weight = -0.579
     """n / (n + 64) for n unshared cells."""
-    timer: Weight = 7.7
+    timer: Weight = 8.203
     """Steps since the last exchange after which robots communicate."""
-    start: Weight = 2.0
+    start: Weight = 1.915
     """First time of exchanges, in sqrt(cells / robots) steps, at most 14 steps."""
 
 

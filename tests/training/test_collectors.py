@@ -108,18 +108,19 @@ def with_workers():
 
 def collect_checked(run, collect):
     """A batch, once it is clear that the newest parameters chose its actions."""
-    batch = collect()
+    (batch,) = collect()
     team = run.policy.team
     logits = team.stacked(*(batch[key] for key in OBSERVATION_KEYS))
     logits = logits.masked_fill(~batch["agents", "action_mask"], -torch.inf)
     chosen = batch["agents", "action"].unsqueeze(-1)
     expected = logits.log_softmax(-1).gather(-1, chosen).squeeze(-1)
     torch.testing.assert_close(batch["agents", "action_log_prob"], expected, atol=1e-5, rtol=0)
-    return batch
+    return [batch]
 
 
 def kill_worker(run):
-    os.kill(run.rollouts._collector.procs[1].pid, signal.SIGKILL)
+    (rollouts,) = run.rollouts.collectors.values()
+    os.kill(rollouts._collector.procs[1].pid, signal.SIGKILL)
 
 
 def test_a_worker_that_is_killed_is_replaced_and_nothing_changes(with_workers, caplog):

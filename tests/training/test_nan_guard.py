@@ -22,10 +22,10 @@ def poisoned(trainer, key, row, value):
     def next_batch():
         nonlocal batches
         batches += 1
-        batch = collect()
+        (batch,) = collect()
         if batches == 2:
             batch[key][row] = value
-        return batch
+        return [batch]
 
     trainer.rollouts.next = next_batch
     return trainer

@@ -1,0 +1,184 @@
+"""Actors that choose among goals: sets of choices, the prior, and what stands behind a choice."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from marl_explore import ArenaConfig, ExplorationEnv, Goals, evaluate, make_env
+from marl_explore.config.constants import FORBIDDEN_LOGIT, GOAL_COLUMNS, MAX_FRONTIERS
+from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
+from marl_explore.evaluation.registry import find_policy
+from marl_explore.planners import GoalUtility
+from marl_explore.policies.actors import CHOICE
+from marl_explore.policies.argmax import ArgmaxPolicy
+from marl_explore.policies.io import load_policy, save_policy
+from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.transforms.goals import CONTEXT_COLUMNS, MATE_COLUMNS, Candidates
+from marl_explore.transforms.memory import GOAL
+
+ROBOTS = 3
+ARENA = ArenaConfig(num_agents=ROBOTS, height=9, width=10)
+
+
+def a_policy(arena=ARENA, trained=True, **options):
+    torch.manual_seed(0)
+    spec = PolicyConfig(arena, Goals(code_width=8, pair_width=4, **options), shared=True)
+    policy = Policy(spec, spec.make_actors())
+    if trained:  # as if: far from its prior
+        for parameter in policy.parameters():
+            parameter.data += torch.randn_like(parameter) / 2
+    return policy
+
+
+def episode(policy=None, arena=ARENA, steps=30, **task):
+    env = make_env(arena, num_envs=6, features=("fov", *Candidates._fields), **task)
+    return env.rollout(steps, (policy or a_policy()).team, break_when_any_done=False)
+
+
+def rows_of(history, robot=0):
+    """What one robot could choose from, in every step."""
+    found = history["agents", "observation"]
+    return Candidates(*(found[name][:, :, robot].flatten(0, 1) for name in Candidates._fields))
+
+
+def test_the_order_of_candidates_does_not_matter():
+    actor, rows = a_policy().actors[0], rows_of(episode())
+    order = torch.randperm(MAX_FRONTIERS)
+    shuffled = rows._replace(frontiers=rows.frontiers[:, order], rivals=rows.rivals[:, order])
+    logits, moved = actor(*rows), actor(*shuffled)
+    assert_close(moved[:, :MAX_FRONTIERS], logits[:, :MAX_FRONTIERS][:, order])
+    assert_close(moved[:, MAX_FRONTIERS:], logits[:, MAX_FRONTIERS:])
+
+
+def test_the_order_of_teammates_does_not_matter():
+    actor, rows = a_policy().actors[0], rows_of(episode())
+    order = torch.tensor([0, 2, 1])
+    shuffled = rows._replace(rivals=rows.rivals[:, :, order], mates=rows.mates[:, order])
+    logits, moved = actor(*rows), actor(*shuffled)
+    mates = slice(MAX_FRONTIERS, MAX_FRONTIERS + ROBOTS)
+    assert_close(moved[:, mates], logits[:, mates][:, order])
+    assert_close(moved[:, :MAX_FRONTIERS], logits[:, :MAX_FRONTIERS])
+
+
+def test_only_choices_are_chosen():
+    """Over whole episodes, in which every kind of choice occurs."""
+    history = episode(steps=120, arena=ARENA)
+    choice, found = history[CHOICE], history["agents", "observation"]
+    filled = found["frontiers"][..., GOAL_COLUMNS.index("moves")] > 0
+    context = dict(zip(CONTEXT_COLUMNS, found["context"].unbind(-1), strict=True))
+    mates = dict(zip(MATE_COLUMNS, found["mates"].unbind(-1), strict=True))
+    visits = (mates["moves"] > 0) & (mates["linked"] == 0) & (context["all_covered"] > 0)[..., None]
+    nowhere = ~(filled.any(-1) | visits.any(-1))
+    on_time = (context["step"] % 3 == 0) & ((mates["since"] * mates["linked"]).amax(-1) >= 4)
+    talks = (context["may_communicate"] > 0) & (on_time | (mates["since"].amax(-1) >= 8))
+    chosen_frontier = choice < MAX_FRONTIERS
+    index = choice.clamp_max(MAX_FRONTIERS - 1)[..., None]
+    assert filled.gather(-1, index).squeeze(-1)[chosen_frontier].all()
+    assert talks[choice == MAX_FRONTIERS + ROBOTS].all()
+    assert nowhere[choice == MAX_FRONTIERS + ROBOTS + 1].all()
+    assert chosen_frontier.any()
+    assert (choice == MAX_FRONTIERS + ROBOTS).any()
+    assert (choice == MAX_FRONTIERS + ROBOTS + 1).any()
+
+
+def test_a_choice_is_a_place_and_the_first_move_to_it():
+    history = episode()
+    choice, action = history[CHOICE], history["agents", "action"]
+    mask, refused = (history["agents", key] for key in ("action_mask", "dangerous"))
+    table = history["agents", "observation", "frontiers"]
+    place = choice < MAX_FRONTIERS
+    row = table.gather(-2, choice.clamp_max(23)[..., None, None].expand(*choice.shape, 1, 14))
+    row = row.squeeze(-2)
+    move = row[..., GOAL_COLUMNS.index("move")]
+    free = mask.gather(-1, move[..., None].long()).squeeze(-1) & ~refused
+    assert action[place & free].equal(move[place & free].long())
+    assert history[GOAL][place].equal(row[..., :2][place].long())
+    assert (action[choice == MAX_FRONTIERS + ROBOTS] == COMMUNICATE).all()
+    assert (action[choice == MAX_FRONTIERS + ROBOTS + 1] == STAY).all()
+
+
+def test_after_a_refused_move_a_robot_yields():
+    env = make_env(ARENA, num_envs=1, features=("fov", *Candidates._fields))
+    step = env.reset().expand(200).clone()
+    step["agents", "dangerous"][:, 0] = True
+    acted = a_policy(trained=False, prior=100.0).team(step)
+    allowed = step["agents", "action_mask"][0, 0, : STAY + 1].nonzero().flatten().tolist()
+    assert set(acted["agents", "action"][:, 0].tolist()) == set(allowed)
+    assert len(set(acted["agents", "action"][:, 1].tolist())) == 1
+
+
+def test_an_untrained_actor_follows_the_utility():
+    """Its most likely places are those of the planner with the same memory."""
+    policy, env = a_policy(trained=False, prior=100.0), ExplorationEnv(ARENA, num_envs=6)
+    planner, now = GoalUtility(ARENA.fov_radius), env.reset()
+    alike = number = 0
+    for _ in range(12):
+        wanted = planner.plan(now)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            acted = policy(now)
+        moves = acted["agents", "action"] < NUM_DIRECTIONS
+        alike += (wanted == acted["agents", "action"])[moves].sum()
+        number += moves.sum()
+        now = env.step(acted)["next"]
+    assert alike >= 0.95 * number  # refused moves yield at random
+
+
+def test_impossible_choices_have_the_forbidden_logit():
+    logits = a_policy().actors[0](*rows_of(episode()))
+    assert (logits == FORBIDDEN_LOGIT).any()
+    assert logits.isfinite().all()
+    assert (logits > FORBIDDEN_LOGIT / 2).any(-1).all()  # there is always a choice
+
+
+@pytest.mark.parametrize(("robots", "height", "width"), [(1, 5, 9), (2, 12, 12), (6, 20, 7)])
+def test_one_actor_works_for_any_team_in_any_arena(robots, height, width):
+    arena = ArenaConfig(num_agents=robots, height=height, width=width)
+    result = evaluate(ArgmaxPolicy(a_policy(trained=False)), arena, num_arenas=6, steps=150)
+    assert result["complete"] == 1
+
+
+def test_its_own_most_likely_choices_need_no_sampling():
+    """An argmax policy acts the same each time; only the yield rule draws random numbers."""
+    policy, arena = ArgmaxPolicy(a_policy()), ArenaConfig(num_agents=1, height=9, width=10)
+    histories = []
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        env = ExplorationEnv(arena, num_envs=4)
+        histories.append(env.rollout(30, policy)["agents", "action"])
+    assert histories[0].equal(histories[1])
+
+
+def test_a_saved_policy_keeps_the_prior_it_was_trained_with(tmp_path):
+    policy = a_policy()
+    policy.actors[0].encoder.weights[0] = 0.7  # as if the planner's weights had been others
+    path = tmp_path / "policy.safetensors"
+    save_policy(policy, path)
+    loaded = load_policy(path)
+    assert loaded.actors[0].encoder.weights[0] == pytest.approx(0.7)
+    rows = rows_of(episode())
+    assert loaded.actors[0](*rows).equal(policy.actors[0](*rows))
+    assert isinstance(find_policy(f"{path}:argmax", ARENA), ArgmaxPolicy)
+
+
+def test_a_robot_decides_by_what_it_can_know():
+    """The truth, others' maps and memories, and where robots out of range are, change nothing."""
+    history = ExplorationEnv(ARENA, num_envs=8, stream="test").rollout(13)
+    policy, ignorant = (ArgmaxPolicy(a_policy()) for _ in range(2))
+    moved = 0
+    for step in history.unbind(1):
+        torch.manual_seed(1)
+        action = policy(step.clone())["agents", "action"][:, 0]
+        changed = step.clone()
+        changed["obstacles"] = ~changed["obstacles"]
+        for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
+            changed["agents", key][:, 1:] = changed["agents", key][:, 1:].roll(1, 0)
+        far = ~step["agents", "linked"][:, 0]
+        moved += far.sum()
+        place = changed["agents", "position"]
+        changed["agents", "position"] = torch.where(far[..., None], 8 - place.clamp_max(8), place)
+        torch.manual_seed(1)
+        assert ignorant(changed)["agents", "action"][:, 0].equal(action)
+    assert moved
