@@ -154,9 +154,12 @@ def test_runs_are_held_against_the_paper_and_bundled(tmp_path):
     assert claims in done.stdout
     rows = claims.splitlines()[2:]
     assert len(rows) == 9
-    assert all(row.endswith(("| yes |", "| no |")) for row in rows)
-    ahead = next(row for row in rows if "case 1 communicates more" in row)
-    assert ahead.endswith("| no |")  # the four are one policy
+    cells = {row.split("|")[1].strip(): [x.strip() for x in row.split("|")[2:-1]] for row in rows}
+    assert {row[-2] for row in cells.values()} <= {"yes", "no"}
+    assert all(0 <= float(row[-1]) <= 1 for row in cells.values())
+    assert all("[" in cell for row in cells.values() for cell in row[:4])
+    ahead = cells["case 1 communicates more than case 2"]
+    assert ahead[4:] == ["no", "0.000"]  # the four are one policy
     for figure in ("coverage", "communication", "enlargements"):
         assert (tmp_path / "paper" / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
     results = json.loads((tmp_path / "paper" / "results.json").read_text())["results"]

@@ -4,15 +4,16 @@ marl-explore paper mlp-case1=runs/a,runs/b mlp-case2=runs/c cnn-case1=runs/d cnn
 
 Each name, of which some may be left out, takes runs of several training seeds, or the folder of a
 sweep over seeds. As in the paper, there are 200 random arenas, the same for every policy, 300
-steps, and sampled actions.
+steps, and sampled actions. Intervals are 95 % bootstrap intervals over seeds and arenas, and a
+claim is also tested in every draw of the bootstrap.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from statistics import mean
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import tyro
@@ -24,14 +25,17 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from marl_explore.evaluation.metrics import Episodes
+    from marl_explore.evaluation.stats import Array
 
 STEPS = 300
+SPREAD = "spread_at_150"
+"""Standard deviation over arenas of the coverage at step 150."""
 NAMES = ("mlp-case1", "mlp-case2", "cnn-case1", "cnn-case2")
 MEASURES = {
     "coverage_at_20": "coverage at 20",
     "coverage_at_150": "at 150",
     "coverage_at_300": "at 300",
-    "spread_at_150": "deviation at 150",
+    SPREAD: "deviation at 150",
     "communication_share": "communicate",
     "useful_share": "useful",
     "large_enlargement_share": "merges > e_max",
@@ -39,8 +43,9 @@ MEASURES = {
 }
 """The measures of the claims, and their columns in the table of policies."""
 
-Means = Mapping[str, Mapping[str, float]]
-"""Every measure of every policy, means over its seeds."""
+Scores = Mapping[str, "Array"]
+"""What a measure is computed from, by policy: [S, A] of S seeds on A arenas, or [S, A, 2] for the
+numbers of some events and of all."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,7 @@ CLAIMS = (
     ),
     Claim(
         "arenas lie close around the average (read as: deviation at most 0.1)",
-        "spread_at_150",
+        SPREAD,
         lambda values: max(values.values()) <= 0.1,
     ),
     Claim("case 1 communicates more than case 2", "communication_share", larger(*CASE_1_OVER_2)),
@@ -132,21 +137,63 @@ def measured(episodes: Episodes) -> dict[str, float]:
 
     largest = metrics.coverage(episodes)["largest"]
     spread = float(largest[:, 150].std(correction=0))
-    return metrics.summarize(episodes) | {"spread_at_150": spread}
+    return metrics.summarize(episodes) | {SPREAD: spread}
 
 
-def claims_table(means: Means) -> str:
-    """The paper's claims, our numbers (in the order of ``NAMES``), and whether they agree."""
+def scores_of(measure: str, episodes: Mapping[str, list[Episodes]]) -> Scores:
+    """What a measure is computed from."""
+    import numpy as np
+
+    from marl_explore.evaluation import metrics
+
+    def of_seed(episode: Episodes) -> Array:
+        shares = metrics.shares(episode)
+        if measure in shares:
+            return np.stack([shares[measure].part.numpy(), shares[measure].whole.numpy()], -1)
+        each = "coverage_at_150" if measure == SPREAD else measure
+        return metrics.per_episode(episode)[each].numpy()
+
+    return {name: np.stack([of_seed(e) for e in seeds]) for name, seeds in episodes.items()}
+
+
+def statistic(measure: str, scores: Array) -> float:
+    """A measure, the mean over seeds; NaN if no seed has any of the events."""
+    import numpy as np
+
+    if scores.ndim == 3:
+        part, whole = scores.sum(1).T
+        some = whole > 0
+        return float((part[some] / whole[some]).mean()) if some.any() else np.nan
+    of_seeds = scores.std(1) if measure == SPREAD else scores.mean(1)
+    return float(of_seeds.mean())
+
+
+def claims_table(episodes: Mapping[str, list[Episodes]]) -> str:
+    """The paper's claims, our numbers with intervals, and whether they agree.
+
+    The last column is the share of bootstrap draws in which a claim holds.
+    """
+    from marl_explore.evaluation import stats
     from marl_explore.utils import tables
 
     rows = []
     for claim in CLAIMS:
-        values = {name: of_policy[claim.measure] for name, of_policy in means.items()}
-        numbers = " / ".join(map(tables.number, values.values()))
-        agrees = {True: "yes", False: "no", None: "not tested"}
-        tested = set(claim.names) <= set(values)
-        rows.append([claim.text, numbers, agrees[claim.holds(values) if tested else None]])
-    return tables.markdown(["the paper", " / ".join(means), "agrees"], rows)
+        scores = scores_of(claim.measure, episodes)
+        of = partial(statistic, claim.measure)
+        values = {name: of(sample) for name, sample in scores.items()}
+        draws = stats.joint_draws(scores, dict.fromkeys(scores, of))
+        cells = []
+        for name, value in values.items():
+            low, high = map(tables.number, stats.bounds(draws[name]))
+            cells.append(f"{tables.number(value)} [{low}, {high}]")
+        verdict, share = "not tested", "-"
+        if set(claim.names) <= set(values):
+            verdict = "yes" if claim.holds(values) else "no"
+            each = zip(*draws.values(), strict=True)
+            held = [bool(claim.holds(dict(zip(draws, drawn, strict=True)))) for drawn in each]
+            share = tables.number(sum(held) / len(held))
+        rows.append([claim.text, *cells, verdict, share])
+    return tables.markdown(["the paper", *episodes, "agrees", "in draws"], rows)
 
 
 def policies_table(seeds: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
@@ -234,9 +281,8 @@ def run(arguments: Arguments) -> None:
     seeds = {
         n: {p: measured(e) for p, e in zip(entries[n], episodes[n], strict=True)} for n in entries
     }
-    means = {n: {key: mean(m[key] for m in seeds[n].values()) for key in MEASURES} for n in entries}
     folder = records.new_folder(arguments.out)
-    tables = {"claims.md": claims_table(means), "policies.md": policies_table(seeds)}
+    tables = {"claims.md": claims_table(episodes), "policies.md": policies_table(seeds)}
     for file, table in tables.items():
         write_text(folder / file, table + "\n")
         print(table, end="\n\n")

@@ -8,7 +8,7 @@ bootstrap resamples by default (see ``Resample``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -74,6 +74,49 @@ def interval(
             ``resample`` that is unknown or that the scores do not allow.
     """
     return _estimate(statistic, [_matrix("scores", scores)], resample, seed, resamples)
+
+
+def joint_draws(
+    samples: Mapping[str, ArrayLike],
+    statistics: Mapping[str, Callable[[Array], float]],
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> dict[str, Array]:
+    """Statistics of several policies in bootstrap draws of the same arenas, [resamples] each.
+
+    In every draw the arenas are the same for all, and the seeds of each are drawn on their own, so
+    whatever follows from several of the statistics can be judged in each draw.
+
+    Args:
+        samples: [S, A, ...] by name, S for each its own, A the same for all.
+        statistics: by the same names, of an array [S, A, ...].
+        seed: of the draws.
+        resamples: number of draws.
+
+    Raises:
+        ValueError: for different numbers of arenas.
+    """
+    arrays = {name: np.asarray(sample, np.float64) for name, sample in samples.items()}
+    counts = {array.shape[1] for array in arrays.values()}
+    if len(counts) != 1:
+        raise ValueError(f"samples of {sorted(counts)} arenas cannot be drawn together")
+    generator, arenas = np.random.default_rng(seed), counts.pop()
+    draws = {name: np.empty(resamples) for name in arrays}
+    for i in range(resamples):
+        columns = generator.integers(arenas, size=arenas)
+        for name, array in arrays.items():
+            rows = generator.integers(len(array), size=(len(array), 1))
+            draws[name][i] = statistics[name](array[rows, columns])
+    return draws
+
+
+def bounds(draws: ArrayLike) -> tuple[float, float]:
+    """The 95 % interval of bootstrap draws; draws that are NaN do not count."""
+    values = np.asarray(draws, np.float64)
+    if np.isnan(values).all():
+        return np.nan, np.nan
+    low, high = np.nanquantile(values, _TAILS)
+    return float(low), float(high)
 
 
 def paired_difference(

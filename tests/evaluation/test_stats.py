@@ -87,6 +87,38 @@ def test_policies_with_different_numbers_of_seeds_are_paired_by_arena():
     assert estimate.low < estimate.value < estimate.high
 
 
+def test_joint_draws_give_intervals_of_means_and_of_paired_differences():
+    rng = np.random.default_rng(1)
+    hardness = rng.normal(0, 3, 60)
+    x, y = (shift + hardness + rng.normal(0, 1, (4, 60)) for shift in (1.0, 0.0))
+    draws = stats.joint_draws({"x": x, "y": y}, {"x": np.mean, "y": np.mean}, resamples=4000)
+    alone, apart = stats.interval(x, np.mean), stats.paired_difference(x, y)
+    assert stats.bounds(draws["x"]) == pytest.approx((alone.low, alone.high), abs=0.1)
+    difference = stats.bounds(draws["x"] - draws["y"])
+    assert difference == pytest.approx((apart.low, apart.high), abs=0.05)
+    assert (draws["x"] > draws["y"]).mean() > 0.99
+
+
+def test_joint_draws_keep_what_belongs_together():
+    """Events and all of their kind, [S, A, 2], are drawn as pairs; draws without any are NaN."""
+    events = np.array([[[1, 2], [3, 6], [0, 0]]])
+
+    def share(drawn):
+        part, whole = drawn.sum((0, 1))
+        return part / whole if whole else np.nan
+
+    draws = stats.joint_draws({"x": events}, {"x": share}, resamples=500)["x"]
+    assert set(draws[~np.isnan(draws)]) == {0.5}
+    assert np.isnan(draws).any()  # three times the third arena
+    assert stats.bounds(draws) == (0.5, 0.5)
+    assert np.isnan(stats.bounds([np.nan])).all()
+
+
+def test_samples_of_different_arenas_are_not_drawn_together():
+    with pytest.raises(ValueError, match=r"samples of \[3, 4\] arenas cannot be drawn together"):
+        stats.joint_draws({"x": X, "y": Y[:, :3]}, {"x": np.mean, "y": np.mean})
+
+
 def test_intervals_repeat_and_depend_on_the_seed():
     assert stats.interval(X) == stats.interval(X)
     assert stats.interval(X) != stats.interval(X, seed=1)
