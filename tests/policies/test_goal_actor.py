@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 from torch.testing import assert_close
-from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import ArenaConfig, ExplorationEnv, Goals, evaluate, make_env
 from marl_explore.config.constants import FORBIDDEN_LOGIT, GOAL_COLUMNS, MAX_FRONTIERS
@@ -73,12 +72,14 @@ def test_only_choices_are_chosen():
     visits = (mates["moves"] > 0) & (mates["linked"] == 0) & (context["all_covered"] > 0)[..., None]
     nowhere = ~(filled.any(-1) | visits.any(-1))
     on_time = (context["step"] % 3 == 0) & ((mates["since"] * mates["linked"]).amax(-1) >= 4)
-    talks = (context["may_communicate"] > 0) & (on_time | (mates["since"].amax(-1) >= 8))
+    talks = (context["may_communicate"] > 0) & (
+        on_time | (mates["since"].amax(-1) >= 8) | (nowhere & (context["all_covered"] > 0))
+    )
     chosen_frontier = choice < MAX_FRONTIERS
     index = choice.clamp_max(MAX_FRONTIERS - 1)[..., None]
     assert filled.gather(-1, index).squeeze(-1)[chosen_frontier].all()
     assert talks[choice == MAX_FRONTIERS + ROBOTS].all()
-    assert nowhere[choice == MAX_FRONTIERS + ROBOTS + 1].all()
+    assert (nowhere & ~talks)[choice == MAX_FRONTIERS + ROBOTS + 1].all()
     assert chosen_frontier.any()
     assert (choice == MAX_FRONTIERS + ROBOTS).any()
     assert (choice == MAX_FRONTIERS + ROBOTS + 1).any()
@@ -110,20 +111,29 @@ def test_after_a_refused_move_a_robot_yields():
     assert len(set(acted["agents", "action"][:, 1].tolist())) == 1
 
 
-def test_an_untrained_actor_follows_the_utility():
-    """Its most likely places are those of the planner with the same memory."""
-    policy, env = a_policy(trained=False, prior=100.0), ExplorationEnv(ARENA, num_envs=6)
-    planner, now = GoalUtility(ARENA.fov_radius), env.reset()
-    alike = number = 0
-    for _ in range(12):
-        wanted = planner.plan(now)
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            acted = policy(now)
-        moves = acted["agents", "action"] < NUM_DIRECTIONS
-        alike += (wanted == acted["agents", "action"])[moves].sum()
-        number += moves.sum()
-        now = env.step(acted)["next"]
-    assert alike >= 0.95 * number  # refused moves yield at random
+def test_an_untrained_actor_acts_as_the_planner():
+    """Moves and exchanges, over whole episodes, wherever neither has to yield.
+
+    When it communicates, the planner also chooses a place, so their last goals differ at times.
+    """
+    actor = ArgmaxPolicy(a_policy(trained=False, prior=100.0, communicate_every=1000))
+    planner = GoalUtility(ARENA.fov_radius)
+    alike = number = exchanges = 0
+    env = ExplorationEnv(ARENA, num_envs=16)
+    now = env.reset()
+    for _ in range(40):
+        planned = planner(now.clone())["agents", "action"]
+        acted = actor(now.clone())["agents", "action"]
+        mask = now["agents", "action_mask"]
+        wanted = mask.gather(-1, planned.unsqueeze(-1)).squeeze(-1) & ~now["agents", "dangerous"]
+        yields = now["agents", "dangerous"] | ((planned < NUM_DIRECTIONS) & ~wanted)
+        alike += (acted == planned)[~yields].sum()
+        number += (~yields).sum()
+        exchanges += (acted == COMMUNICATE).sum()
+        now = env.step(now.set(("agents", "action"), acted))["next"]
+    assert number > 0.8 * 40 * 16 * ROBOTS
+    assert alike > 0.98 * number
+    assert exchanges > 100
 
 
 def test_impossible_choices_have_the_forbidden_logit():

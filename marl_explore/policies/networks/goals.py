@@ -276,8 +276,11 @@ class GoalEncoder(nn.Module):
         goals = torch.cat((utility, visit), -1)
         possible = torch.cat((filled, visit > NOT_CHOSEN), -1)
         on_time = (own["step"] % self.every == 0) & ((since * linked).amax(-1) >= self.after)
-        talks = (own["may_communicate"] > 0) & (on_time | due)
-        stays = ~possible.any(-1)
+        nowhere = ~possible.any(-1)
+        talks = (own["may_communicate"] > 0) & (
+            on_time | due | (nowhere & (own["all_covered"] > 0))
+        )
+        stays = nowhere & ~talks
         valid = torch.cat((possible, talks.unsqueeze(-1), stays.unsqueeze(-1)), -1)
         best = goals.amax(-1, keepdim=True)
         prior = torch.cat(
