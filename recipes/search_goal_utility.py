@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -111,11 +111,11 @@ class Arguments:
 
 
 @torch.no_grad()
-def play(weights: GoalWeights, suite: str, robots: int, first: int, arenas: int) -> Tensor:
+def play(weights: Tensor, suite: str, robots: int, first: int, arenas: int) -> Tensor:
     """Steps until the largest map is complete, [candidates, arenas]; horizon + 1 if it is not.
 
     Args:
-        weights: tensors [candidates], or numbers for a single candidate.
+        weights: of every candidate, [candidates, 22].
         suite, robots: the task.
         first: number of the first training arena.
         arenas: how many.
@@ -124,7 +124,7 @@ def play(weights: GoalWeights, suite: str, robots: int, first: int, arenas: int)
     drawn = ExplorationEnv(
         config, num_envs=arenas, arenas=suite, stream="train", first_arena=first
     ).reset()
-    candidates = len(torch.as_tensor(weights.moves).flatten())
+    candidates = len(weights)
     batch = candidates * arenas
 
     def repeated(entry: Tensor) -> Tensor:
@@ -139,11 +139,8 @@ def play(weights: GoalWeights, suite: str, robots: int, first: int, arenas: int)
     )
     env = ExplorationEnv(config, num_envs=batch, max_steps=steps, terminate_at_coverage=1.0)
     observed = env.reset(start, set_state=True)
-    each = {
-        name: torch.as_tensor(value).view(-1, 1).expand(candidates, arenas).reshape(-1, 1, 1)
-        for name, value in asdict(weights).items()
-    }
-    planner = GoalUtility(config.fov_radius, GoalWeights(**each))
+    each = weights.repeat_interleave(arenas, 0).unsqueeze(1)  # of all robots of an arena
+    planner = GoalUtility(config.fov_radius, each)
     needed = torch.full((batch,), steps + 1)
     for step in range(1, steps + 1):
         observed = step_mdp(env.step(planner(observed)))
@@ -154,17 +151,11 @@ def play(weights: GoalWeights, suite: str, robots: int, first: int, arenas: int)
     return needed.view(candidates, arenas)
 
 
-def as_weights(points: np.ndarray) -> GoalWeights:
-    """The weights at points [candidates, weights] of the search."""
-    start, scale = (np.array([*asdict(w).values()]) for w in (START, SCALES))
-    columns = torch.from_numpy(start + scale * points).float().unbind(-1)
-    names = [field.name for field in fields(GoalWeights)]
-    return GoalWeights(
-        **{
-            name: column.clamp_min(LOWEST.get(name, -torch.inf))
-            for name, column in zip(names, columns, strict=True)
-        }
-    )
+def as_weights(points: np.ndarray) -> Tensor:
+    """The weights [candidates, 22] at points of the search."""
+    weights = START.as_tensor() + SCALES.as_tensor() * torch.from_numpy(points).float()
+    lowest = [LOWEST.get(field.name, -torch.inf) for field in fields(GoalWeights)]
+    return weights.maximum(torch.tensor(lowest))
 
 
 def main(arguments: Arguments) -> None:
@@ -177,7 +168,10 @@ def main(arguments: Arguments) -> None:
         population_size=arguments.population,
         seed=arguments.seed,
     )
-    base = [float(play(START, suite, n, 0, 8 * k).double().mean()) for suite, n, k in TASKS]
+    base = [
+        float(play(START.as_tensor()[None], suite, n, 0, 8 * k).double().mean())
+        for suite, n, k in TASKS
+    ]
     means, history, begun = [], [], time.perf_counter()
     for generation in range(1, arguments.generations + 1):
         points = [search.ask() for _ in range(arguments.population)]
@@ -190,7 +184,8 @@ def main(arguments: Arguments) -> None:
         means.append(search.mean.copy())
         history.append({"best": loss.min(), "mean": loss.mean(), "spread": float(np.std(points))})
         found = as_weights(np.mean(means[-arguments.average :], 0)[None])
-        result = {name: round(float(value), 4) for name, value in asdict(found).items()}
+        names = [field.name for field in fields(GoalWeights)]
+        result = {n: round(value, 4) for n, value in zip(names, found[0].tolist(), strict=True)}
         record = {"weights": result, "tasks": TASKS, "usual_steps": base, "generations": history}
         arguments.out.write_text(json.dumps(record, indent=1))
         seconds = time.perf_counter() - begun

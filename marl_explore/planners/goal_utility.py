@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.constants import GOAL_COLUMNS
+from marl_explore.core.goals import GAIN_SQUARES
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import others_linked
 from marl_explore.planners.goal_moves import follow, still_choices
@@ -20,130 +21,139 @@ NOT_CHOSEN = -1e9
 """Utility of rows without a candidate."""
 
 
-Weight = float | Tensor
-"""A number, or one per robot, [*B, 1]."""
-
-
 @dataclass(frozen=True)
 class GoalWeights:
-    """Weights and scales of the utility; all shares are at most 1 (docs/planners.md)."""
+    """Weights and scales of the utility; all shares are at most 1.
 
-    moves: Weight = 0.092
+    The defaults were found by search on training arenas (docs/planners.md).
+    """
+
+    moves: float = 0.092
     """Price of a move."""
-    log_moves: Weight = -0.06
+    log_moves: float = -0.06
     """Price of the logarithm of the moves."""
-    near_gain: Weight = 2.015
+    near_gain: float = 2.015
     """Share of unseen cells in the field of view there."""
-    middle_gain: Weight = -1.03
+    middle_gain: float = -1.03
     """The same of a square of twice the radius."""
-    far_gain: Weight = -1.155
+    far_gain: float = -1.155
     """The same of a square of four times the radius."""
-    merged_cells: Weight = 0.581
+    merged_cells: float = 0.581
     """n / (n + 4) for the n frontier cells that it stands for."""
-    pocket: Weight = 0.66
+    pocket: float = 0.66
     """exp(-n / 8) for an unseen region of n cells."""
-    isolation: Weight = 0.555
+    isolation: float = 0.555
     """n / (n + 6) for the distance n to the next candidate."""
-    last_goal: Weight = 0.109
+    last_goal: float = 0.109
     """Whether it is within the field of view of the last goal."""
-    ahead: Weight = -0.063
+    ahead: float = -0.063
     """Cosine of the turn."""
-    move_gain: Weight = 0.89
+    move_gain: float = 0.89
     """Share of unseen cells in the field of view after the first move."""
-    linked_rival: Weight = 2.544
+    linked_rival: float = 2.544
     """Price of linked teammates that are nearer."""
-    rival_scale: Weight = 2.346
+    rival_scale: float = 2.346
     """Difference of moves to which being nearer is resolved."""
-    knowing_rival: Weight = 1.924
+    knowing_rival: float = 1.924
     """Price of unlinked teammates that are nearer and know the place."""
-    unknowing_rival: Weight = 0.49
+    unknowing_rival: float = 0.49
     """Price of unlinked teammates that are nearer and may not know the place."""
-    arrived_rival: Weight = 0.126
+    arrived_rival: float = 0.126
     """Price of unlinked teammates that know the place and may have got there since."""
-    memory: Weight = 99.697
+    memory: float = 99.697
     """Time in which sightings fade (steps)."""
-    mate_moves: Weight = 0.025
+    mate_moves: float = 0.025
     """Price of a move to a teammate, when all frontiers are covered."""
-    mate_age: Weight = -0.934
+    mate_age: float = -0.934
     """n / (n + 32) for n steps since it was seen."""
-    mate_unshared: Weight = -0.579
+    mate_unshared: float = -0.579
     """n / (n + 64) for n unshared cells."""
-    timer: Weight = 8.203
+    timer: float = 8.203
     """Steps since the last exchange after which robots communicate."""
-    start: Weight = 1.915
+    start: float = 1.915
     """First time of exchanges, in sqrt(cells / robots) steps, at most 14 steps."""
 
+    def as_tensor(self) -> Tensor:
+        """The weights in their order, float32 [22]."""
+        return torch.tensor(astuple(self))
 
-WEIGHTS = GoalWeights()
-"""Found by search on training arenas (docs/planners.md)."""
+
+NUM_WEIGHTS = len(fields(GoalWeights))
+_INDEX = {field.name: number for number, field in enumerate(fields(GoalWeights))}
+_OF_PLACES = _INDEX["move_gain"] + 1
+"""The first weights belong to what ``place_terms`` says of a place."""
 
 
-def frontier_utility(candidates: Candidates, radius: int, weights: GoalWeights) -> Tensor:
+def frontier_utility(candidates: Candidates, terms: Tensor, weights: Tensor) -> Tensor:
     """Utility of every candidate frontier, float32 [*B, 24]; NOT_CHOSEN in empty rows.
 
     Args:
-        candidates: of robots [*B], without further dimensions before their own.
-        radius: half side of the field of view (cells).
-        weights: numbers, or tensors [*B, 1].
+        candidates: of robots [*B], integers or floats.
+        terms: ``place_terms`` of them.
+        weights: ``GoalWeights.as_tensor`` [22], or others for each robot [*B, 22].
     """
-    column = dict(zip(GOAL_COLUMNS, _real(candidates.frontiers).unbind(-1), strict=True))
-    mate = dict(zip(MATE_COLUMNS, _real(candidates.mates).unsqueeze(-3).unbind(-1), strict=True))
-    w, moves = weights, column["moves"].clamp_min(1)
-    heading = column["turn"] >= 0
-    value = (
-        -w.moves * moves
-        - w.log_moves * moves.log()
-        + w.near_gain * column["near_gain"] / cells_within(radius)
-        + w.middle_gain * column["middle_gain"] / cells_within(2 * radius)
-        + w.far_gain * column["far_gain"] / cells_within(4 * radius)
-        + w.merged_cells * (column["merged_cells"] / (column["merged_cells"] + 4))
-        + w.pocket * (-column["pocket"] / 8).exp()
-        + w.isolation * (column["isolation"] / (column["isolation"] + 6))
-        + w.last_goal * ((column["from_last_goal"] >= 0) & (column["from_last_goal"] <= radius))
-        + w.ahead * (column["turn"] * (math.pi / 4)).cos() * heading
-        + w.move_gain * column["move_gain"] / cells_within(radius)
+    frontiers, rivals, mates, _ = (_real(entry) for entry in candidates)
+    moves = frontiers[..., GOAL_COLUMNS.index("moves")]
+    of_places = (terms @ weights[..., :_OF_PLACES, None]).squeeze(-1)
+    value = of_places - _rivalry(moves, rivals, mates, weights)
+    return value.masked_fill(moves == 0, NOT_CHOSEN)
+
+
+def place_terms(frontiers: Tensor, radius: int) -> Tensor:
+    """What the first eleven weights multiply, [*B, 24, 11], from frontiers [*B, 24, 14]."""
+    at = dict(zip(GOAL_COLUMNS, _real(frontiers).unbind(-1), strict=True))
+    moves, turn, last = at["moves"].clamp_min(1), at["turn"], at["from_last_goal"]
+    near, middle, far = (cells_within(radius * factor) for factor in GAIN_SQUARES)
+    return torch.stack(
+        (
+            -moves,
+            -moves.log(),
+            at["near_gain"] / near,
+            at["middle_gain"] / middle,
+            at["far_gain"] / far,
+            share(at["merged_cells"], 4),
+            (-at["pocket"] / 8).exp(),
+            share(at["isolation"], 6),
+            ((last >= 0) & (last <= radius)).to(moves),
+            (turn * (math.pi / 4)).cos() * (turn >= 0),
+            at["move_gain"] / near,
+        ),
+        -1,
     )
-    length, knows = _real(candidates.rivals).unbind(-1)
-    value = value - _rivalry(moves, length, knows, mate, w)
-    return value.masked_fill(column["moves"] == 0, NOT_CHOSEN)
 
 
-def _rivalry(
-    moves: Tensor, length: Tensor, knows: Tensor, mate: dict[str, Tensor], w: GoalWeights
-) -> Tensor:
+def _rivalry(moves: Tensor, rivals: Tensor, mates: Tensor, weights: Tensor) -> Tensor:
     """Price of teammates that are nearer, summed over them, [*B, 24]."""
-
-    def wide(weight: Weight) -> Weight:
-        return weight.unsqueeze(-1) if isinstance(weight, Tensor) else weight
-
-    nearer = ((moves.unsqueeze(-1) - length) / wide(w.rival_scale)).sigmoid()
-    age, linked = mate["age"], mate["linked"]
-    fading = (-age / wide(w.memory)).exp()
-    arrived = (length <= age) * knows
-    price = knows * wide(w.knowing_rival) + (1 - knows) * wide(w.unknowing_rival)
-    unlinked = (price * nearer + wide(w.arrived_rival) * arrived) * fading
-    each = torch.where(linked > 0, wide(w.linked_rival) * nearer, unlinked)
-    return (each * (mate["seen"] > 0)).sum(-1)
+    linked, scale, knowing, unknowing, arrived, memory = (
+        weight[..., None, None] for weight in weights[..., _OF_PLACES : _OF_PLACES + 6].unbind(-1)
+    )
+    length, knows = rivals.unbind(-1)
+    seen, near, age = (
+        mates[..., MATE_COLUMNS.index(name)].unsqueeze(-2) for name in ("seen", "linked", "age")
+    )
+    nearer = ((moves.unsqueeze(-1) - length) / scale).sigmoid()
+    lost = torch.lerp(unknowing, knowing, knows) * nearer + arrived * ((length <= age) * knows)
+    return (seen * torch.where(near > 0, linked * nearer, lost * (-age / memory).exp())).sum(-1)
 
 
-def mate_utility(candidates: Candidates, weights: GoalWeights) -> Tensor:
+def mate_utility(candidates: Candidates, weights: Tensor) -> Tensor:
     """Utility of going to every teammate, float32 [*B, N]; NOT_CHOSEN where that is no choice.
 
     It is one while all frontiers are covered, and the teammate is not linked but was seen.
     """
-    mate = dict(zip(MATE_COLUMNS, _real(candidates.mates).unbind(-1), strict=True))
-    covered = candidates.context[..., CONTEXT_COLUMNS.index("all_covered")].unsqueeze(-1)
-    w = weights
-    value = (
-        w.mate_age * (mate["age"] / (mate["age"] + 32))
-        + w.mate_unshared * (mate["unshared"] / (mate["unshared"] + 64))
-        - w.mate_moves * mate["moves"]
+    mates, context = _real(candidates.mates), candidates.context
+    moves, age, unshared, linked = (
+        mates[..., MATE_COLUMNS.index(name)] for name in ("moves", "age", "unshared", "linked")
     )
-    choice = (covered > 0) & (mate["linked"] == 0) & (mate["moves"] > 0)
-    return value.masked_fill(~choice, NOT_CHOSEN)
+    of_moves, of_age, of_unshared = (
+        weights[..., _INDEX[f"mate_{name}"], None] for name in ("moves", "age", "unshared")
+    )
+    value = of_age * share(age, 32) + of_unshared * share(unshared, 64) - of_moves * moves
+    covered = context[..., CONTEXT_COLUMNS.index("all_covered"), None] > 0
+    return value.masked_fill(~(covered & (linked == 0) & (moves > 0)), NOT_CHOSEN)
 
 
-def overdue(candidates: Candidates, weights: GoalWeights) -> Tensor:
+def overdue(candidates: Candidates, weights: Tensor) -> Tensor:
     """Whether a linked teammate has waited for an exchange for long enough, bool [*B]."""
     now, cells, robots = (
         candidates.context[..., CONTEXT_COLUMNS.index(name)] for name in ("step", "cells", "robots")
@@ -151,18 +161,14 @@ def overdue(candidates: Candidates, weights: GoalWeights) -> Tensor:
     linked, since = (
         candidates.mates[..., MATE_COLUMNS.index(name)] for name in ("linked", "since")
     )
-    start = ((cells / robots.clamp_min(1)).sqrt() * _squeezed(weights.start)).clamp_max(14).round()
-    timer = weights.timer.round() if isinstance(weights.timer, Tensor) else round(weights.timer)
-    return (now >= start) & ((linked > 0) & (since >= timer)).any(-1)
+    timer, start = weights[..., _INDEX["timer"], None], weights[..., _INDEX["start"]]
+    begin = ((cells / robots.clamp_min(1)).sqrt() * start).clamp_max(14).round()
+    return (now >= begin) & ((linked > 0) & (since >= timer.round())).any(-1)
 
 
-def _real(entries: Tensor) -> Tensor:
-    return entries if entries.is_floating_point() else entries.float()
-
-
-def _squeezed(weight: Weight) -> Weight:
-    """A weight without its last dimension."""
-    return weight.squeeze(-1) if isinstance(weight, Tensor) else weight
+def share(number: Tensor, half: float | Tensor) -> Tensor:
+    """n / (n + half), which resolves numbers around ``half`` best."""
+    return number / (number + half)
 
 
 def cells_within(radius: int) -> int:
@@ -170,20 +176,27 @@ def cells_within(radius: int) -> int:
     return (2 * radius + 1) ** 2
 
 
+def _real(entries: Tensor) -> Tensor:
+    return entries if entries.is_floating_point() else entries.float()
+
+
 class GoalUtility(Planner):
     """Every robot goes to the candidate goal with the largest utility.
 
     Args:
         radius: half side of the field of view (cells).
-        weights: of the utility.
+        weights: of the utility, also as a tensor [22], or others for each robot [*B, N, 22];
+            None: those that a search found (docs/planners.md).
     """
 
     sees = "own map, positions of robots in range and where it saw them last, what was exchanged"
     in_keys = [*Planner.in_keys, ("agents", "observation", "fov")]  # noqa: RUF012
 
-    def __init__(self, radius: int, weights: GoalWeights = WEIGHTS) -> None:
+    def __init__(self, radius: int, weights: GoalWeights | Tensor | None = None) -> None:
         super().__init__(self._exchange)
-        self.radius, self.weights = radius, weights
+        weights = GoalWeights() if weights is None else weights
+        self.radius = radius
+        self.weights = weights.as_tensor() if isinstance(weights, GoalWeights) else weights
         self._memory = RememberTeam(radius)
         self._overdue = torch.zeros(0, dtype=torch.bool)
 
@@ -191,13 +204,15 @@ class GoalUtility(Planner):
         """First moves to the goals, int64 [*B, N]."""
         known = self._memory(tensordict.select(*self.in_keys))
         found = find_candidates(known)
-        frontier = frontier_utility(found, self.radius, self.weights)
-        best, choice = torch.cat((frontier, mate_utility(found, self.weights)), -1).max(-1)
+        weights = self.weights.to(found.frontiers.device)
+        terms = place_terms(found.frontiers, self.radius)
+        utilities = frontier_utility(found, terms, weights), mate_utility(found, weights)
+        best, choice = torch.cat(utilities, -1).max(-1)
         talk, stay = still_choices(found.mates.shape[-2])
         covered = found.context[..., CONTEXT_COLUMNS.index("all_covered")] > 0
         waits = torch.where(covered & others_linked(tensordict).any(-1), talk, stay)
         choice = torch.where(best <= NOT_CHOSEN, waits, choice)
-        self._overdue = overdue(found, self.weights)
+        self._overdue = overdue(found, weights)
         return follow(known, found, choice)
 
     def _exchange(self, tensordict: TensorDictBase) -> Tensor:

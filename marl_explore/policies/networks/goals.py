@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,12 +16,12 @@ from marl_explore.config.constants import FORBIDDEN_LOGIT, GOAL_COLUMNS, MAX_FRO
 from marl_explore.config.fields import check_types
 from marl_explore.planners.goal_utility import (
     NOT_CHOSEN,
-    WEIGHTS,
     GoalWeights,
-    cells_within,
     frontier_utility,
     mate_utility,
     overdue,
+    place_terms,
+    share,
 )
 from marl_explore.policies.networks.base import Network
 from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize
@@ -32,6 +32,27 @@ EXCHANGE_DUE, EXCHANGE_EARLY = 0.5, -0.4
 _FRONTIER, _PAIR, _MATE, _STILL, _CONTEXT = 18, 8, 5, 8, 10
 """Numbers of features of a candidate frontier, of a teammate beside it, of a teammate as a goal, of
 staying or communicating, and of the robot itself."""
+
+_ABOUT = [MATE_COLUMNS.index(name) for name in ("age", "unshared", "since")]
+_SHARED = [GOAL_COLUMNS.index(name) for name in ("moves", "from_last_goal", "pocket")]
+_PLACE = (
+    *("moves", "1 / moves", "nearest / moves", "near_gain", "middle_gain", "far_gain"),
+    *("merged_cells", "last_goal", "from_last_goal", "ahead", "pocket", "small pocket"),
+    *("isolation", "nearest of all", "move_gain", "allowed", "rivals", "utility"),
+)
+"""Features of a candidate frontier in their order."""
+_COMPUTED = (
+    *("moves", "from_last_goal", "pocket", "1 / moves"),
+    *("-moves", "-log", "near_gain", "middle_gain", "far_gain", "merged_cells", "-exp"),
+    *("isolation", "last_goal", "ahead", "move_gain", "allowed"),
+    *("nearest / moves", "small pocket", "nearest of all", "rivals", "utility"),
+)
+"""The order in which they are computed, with further terms of the utility."""
+_BUFFERS = {
+    "about_halves": [16.0, 64.0, 8.0],
+    "shared_halves": [8.0, 4.0, 12.0],
+    "order": [_COMPUTED.index(name) for name in _PLACE],
+}
 
 
 @dataclass(frozen=True)
@@ -122,6 +143,9 @@ class GoalEncoder(nn.Module):
     """
 
     weights: Tensor
+    about_halves: Tensor
+    shared_halves: Tensor
+    order: Tensor
 
     def __init__(self, arena: ArenaConfig, options: Goals) -> None:
         super().__init__()
@@ -134,7 +158,9 @@ class GoalEncoder(nn.Module):
         self.still = _layers(_STILL + _CONTEXT, width)
         self.code = _layers(width, width)
         # saved with the policy: its prior does not follow later changes of the planner
-        self.register_buffer("weights", torch.tensor(astuple(WEIGHTS)))
+        self.register_buffer("weights", GoalWeights().as_tensor())
+        for name, numbers in _BUFFERS.items():
+            self.register_buffer(name, torch.tensor(numbers), persistent=False)
 
     def forward(self, candidates: Candidates) -> tuple[_Scaled, _Codes]:
         """The features and encodings of R robots, whose candidates have shapes [R, ...]."""
@@ -194,113 +220,147 @@ class GoalEncoder(nn.Module):
         """Features of about unit size, the choices, and their prior."""
         dtype = self.weights.dtype
         candidates = Candidates(*(entry.to(dtype) for entry in candidates))
-        at = _columns(candidates.frontiers, GOAL_COLUMNS)
-        mate = _columns(candidates.mates, MATE_COLUMNS)
-        own = _columns(candidates.context, CONTEXT_COLUMNS)
-        weights = GoalWeights(*self.weights.unbind())
-        utility = frontier_utility(candidates, self.radius, weights)
-        visit = mate_utility(candidates, weights)
-        due = overdue(candidates, weights)
-        filled = at["moves"] > 0
-        moves = at["moves"].clamp_min(1)
-        nearest = moves.masked_fill(~filled, torch.inf).amin(-1, keepdim=True)
+        terms = place_terms(candidates.frontiers, self.radius)
+        utility = frontier_utility(candidates, terms, self.weights)
+        visit = mate_utility(candidates, self.weights)
+        due = overdue(candidates, self.weights)
+        mates = dict(zip(MATE_COLUMNS, candidates.mates.unbind(-1), strict=True))
+        own = dict(zip(CONTEXT_COLUMNS, candidates.context.unbind(-1), strict=True))
+        linked = mates["linked"]
+        moves = candidates.frontiers[..., GOAL_COLUMNS.index("moves")]
+        filled, known = moves > 0, mates["seen"] > 0
         length, knows = candidates.rivals.unbind(-1)
-        known = mate["seen"] > 0
         nearer = (length < moves.unsqueeze(-1)) & known.unsqueeze(-2)
-        linked = mate["linked"]
-        frontier = torch.stack(
+        nearest = moves.masked_fill(~filled, torch.inf).amin(-1, keepdim=True)
+        # age, unshared cells and steps since the last exchange
+        about = share(candidates.mates[..., _ABOUT], self.about_halves)
+        goals, talks, stays = self._choices(utility, visit, linked, mates["since"], own, due)
+        return _Scaled(
+            frontier=self._places(candidates.frontiers, terms, nearest, nearer, linked, utility),
+            pair=self._pairs(linked, about, length, knows, moves, mates["age"]),
+            known_mate=known,
+            mate=self._visits(mates["moves"], about),
+            still=self._stills(mates, linked, due),
+            context=self._context(own, linked, filled, mates["unshared"], nearest),
+            valid=torch.cat((goals > NOT_CHOSEN, talks, stays), -1),
+            prior=self._prior(goals, due),
+        )
+
+    def _places(
+        self,
+        frontiers: Tensor,
+        terms: Tensor,
+        nearest: Tensor,
+        nearer: Tensor,
+        linked: Tensor,
+        utility: Tensor,
+    ) -> Tensor:
+        """``_Scaled.frontier``."""
+        moves, pocket = (frontiers[..., GOAL_COLUMNS.index(c)] for c in ("moves", "pocket"))
+        rivals = (nearer * linked.unsqueeze(-2)).amax(-1), nearer.sum(-1)
+        own = torch.stack(
             (
-                _share(moves, 8),
-                1 / moves,
-                torch.where(filled, nearest / moves, 0),
-                at["near_gain"] / cells_within(self.radius),
-                at["middle_gain"] / cells_within(2 * self.radius),
-                at["far_gain"] / cells_within(4 * self.radius),
-                _share(at["merged_cells"], 4),
-                ((at["from_last_goal"] >= 0) & (at["from_last_goal"] <= self.radius)).to(dtype),
-                _share(at["from_last_goal"].clamp_min(0), 4),
-                (at["turn"] * (math.pi / 4)).cos() * (at["turn"] >= 0),
-                _share(at["pocket"], 12),
-                (at["pocket"] <= 4).to(dtype),
-                _share(at["isolation"], 6),
-                1 - (nearer * linked.unsqueeze(-2)).amax(-1),
-                at["move_gain"] / cells_within(self.radius),
-                at["move_allowed"],
-                _share(nearer.sum(-1).to(dtype), 3),
+                nearest / moves,
+                pocket <= 4,
+                1 - rivals[0],
+                share(rivals[1].to(moves), 3),
                 utility.clamp(-3, 3),
             ),
             -1,
         )
-        age, unshared, since = mate["age"], mate["unshared"], mate["since"]
-        about = (linked, _share(age, 16), _share(unshared, 64), _share(since, 8))
+        allowed = frontiers[..., GOAL_COLUMNS.index("move_allowed"), None]
+        shares = share(frontiers[..., _SHARED].clamp_min(0), self.shared_halves)
+        every = torch.cat((shares, 1 / moves.unsqueeze(-1), terms, allowed, own), -1)
+        return every.index_select(-1, self.order)
+
+    def _pairs(
+        self,
+        linked: Tensor,
+        about: Tensor,
+        length: Tensor,
+        knows: Tensor,
+        moves: Tensor,
+        age: Tensor,
+    ) -> Tensor:
+        """``_Scaled.pair``."""
+        of_mate = torch.cat((linked.unsqueeze(-1), about), -1).unsqueeze(-3)
         behind = length - moves.unsqueeze(-1)
-        pair = torch.stack(
-            (
-                *(entry.unsqueeze(-2).expand_as(length) for entry in about),
-                (behind / 8).clamp(-1, 1),
-                4 / (4 + length.clamp_min(0)),
-                knows,
-                ((behind - age.unsqueeze(-2)) / 16).clamp(-1, 1),
-            ),
-            -1,
+        late = behind - age.unsqueeze(-2)
+        beside = (
+            (behind / 8).clamp(-1, 1),
+            4 / (4 + length.clamp_min(0)),
+            knows,
+            (late / 16).clamp(-1, 1),
         )
-        walk = mate["moves"]
-        to_mate = torch.stack((_share(walk, 8), 1 / walk.clamp_min(1), *about[1:]), -1)
+        return torch.cat((of_mate.expand(*length.shape, -1), torch.stack(beside, -1)), -1)
+
+    @staticmethod
+    def _visits(walk: Tensor, about: Tensor) -> Tensor:
+        """``_Scaled.mate``."""
+        of_walk = torch.stack((share(walk, 8), 1 / walk.clamp_min(1)), -1)
+        return torch.cat((of_walk, about), -1)
+
+    @staticmethod
+    def _stills(mates: dict[str, Tensor], linked: Tensor, due: Tensor) -> Tensor:
+        """``_Scaled.still``."""
         number = linked.sum(-1)
-        waiting = (
-            _share((since * linked).amax(-1), 8),
-            _share((unshared * linked).sum(-1), 64),
-            _share(number, 3),
-            _share(mate["square_distance"].amax(-1).sqrt(), 6),
-            due.to(dtype),
-            mate["waited"].amax(-1),
+        one, zero = torch.ones_like(number), torch.zeros_like(number)
+        talk = (
+            one,
+            share((mates["since"] * linked).amax(-1), 8),
+            share((mates["unshared"] * linked).sum(-1), 64),
+            share(number, 3),
+            share(mates["square_distance"].amax(-1).sqrt(), 6),
+            due.to(number),
+            mates["waited"].amax(-1),
+            zero,
         )
-        talk = torch.stack((torch.ones_like(number), *waiting, torch.zeros_like(number)), -1)
-        stay = torch.nn.functional.one_hot(torch.full_like(number, _STILL - 1).long(), _STILL)
-        close = 4 / (4 + nearest.squeeze(-1))
-        context = torch.stack(
-            (
-                _share(own["step"], 64),
-                filled.sum(-1) / MAX_FRONTIERS,
-                own["known_cells"] / own["cells"].clamp_min(1),
-                _share(number, 3),
-                own["robots"] / 8,
-                filled.any(-1).to(dtype),
-                own["all_covered"],
-                own["refused"],
-                _share(unshared, 64).sum(-1) / (own["robots"] - 1).clamp_min(1),
-                close,
-            ),
-            -1,
+        stay = (*[zero] * (_STILL - 1), one)
+        return torch.stack((*talk, *stay), -1).unflatten(-1, (2, _STILL))
+
+    @staticmethod
+    def _context(
+        own: dict[str, Tensor], linked: Tensor, filled: Tensor, unshared: Tensor, nearest: Tensor
+    ) -> Tensor:
+        """``_Scaled.context``."""
+        number = filled.sum(-1)
+        parts = (
+            share(own["step"], 64),
+            number / MAX_FRONTIERS,
+            own["known_cells"] / own["cells"].clamp_min(1),
+            share(linked.sum(-1), 3),
+            own["robots"] / 8,
+            number > 0,
+            own["all_covered"],
+            own["refused"],
+            share(unshared, 64).sum(-1) / (own["robots"] - 1).clamp_min(1),
+            4 / (4 + nearest.squeeze(-1)),
         )
+        return torch.stack([part.to(linked) for part in parts], -1)
+
+    def _choices(
+        self,
+        utility: Tensor,
+        visit: Tensor,
+        linked: Tensor,
+        since: Tensor,
+        own: dict[str, Tensor],
+        due: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Utilities of all places, and whether to communicate and to stay are choices."""
         goals = torch.cat((utility, visit), -1)
-        possible = torch.cat((filled, visit > NOT_CHOSEN), -1)
+        nowhere = (goals <= NOT_CHOSEN).all(-1)
         on_time = (own["step"] % self.every == 0) & ((since * linked).amax(-1) >= self.after)
-        nowhere = ~possible.any(-1)
-        talks = (own["may_communicate"] > 0) & (
-            on_time | due | (nowhere & (own["all_covered"] > 0))
-        )
-        stays = nowhere & ~talks
-        valid = torch.cat((possible, talks.unsqueeze(-1), stays.unsqueeze(-1)), -1)
+        alone = nowhere & (own["all_covered"] > 0)
+        talks = (own["may_communicate"] > 0) & (on_time | due | alone)
+        return goals, talks.unsqueeze(-1), (nowhere & ~talks).unsqueeze(-1)
+
+    @staticmethod
+    def _prior(goals: Tensor, due: Tensor) -> Tensor:
+        """``_Scaled.prior``."""
         best = goals.amax(-1, keepdim=True)
-        prior = torch.cat(
-            (
-                goals - best,
-                torch.where(due, EXCHANGE_DUE, EXCHANGE_EARLY).unsqueeze(-1).to(dtype),
-                torch.zeros_like(best),
-            ),
-            -1,
-        )
-        return _Scaled(
-            frontier,
-            pair,
-            known,
-            to_mate,
-            torch.stack((talk, stay.to(dtype)), -2),
-            context,
-            valid,
-            prior,
-        )
+        talk = torch.where(due, EXCHANGE_DUE, EXCHANGE_EARLY).unsqueeze(-1).to(goals)
+        return torch.cat((goals - best, talk, torch.zeros_like(best)), -1)
 
 
 class GoalActor(nn.Module):
@@ -379,12 +439,3 @@ def _layers(*widths: int) -> nn.Sequential:
     for inputs, outputs in pairwise(widths):
         layers += [nn.Linear(inputs, outputs), nn.ReLU()]
     return initialize(nn.Sequential(*layers), math.sqrt(2))
-
-
-def _columns(table: Tensor, names: tuple[str, ...]) -> dict[str, Tensor]:
-    return dict(zip(names, table.unbind(-1), strict=True))
-
-
-def _share(number: Tensor, half: float) -> Tensor:
-    """n / (n + half), which resolves numbers around ``half`` best."""
-    return number / (number + half)
