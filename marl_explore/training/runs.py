@@ -173,14 +173,18 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _require_same(saved: Mapping[str, Any], config: TrainConfig, path: Path) -> None:
-    saved, now = migrated(saved), json.loads(json.dumps(config.to_json()))
-    if saved.get("episodes", 0) < now["episodes"]:  # the run was made longer
-        saved["episodes"] = now["episodes"]
-    different = [key for key in now if saved.get(key) != now[key]]
+    try:  # settings that did not exist yet have their defaults
+        before = TrainConfig.from_json(migrated(saved), str(path))
+    except ValueError as error:
+        raise CheckpointError(f"{path} belongs to another run: {error}") from error
+    there, here = (json.loads(json.dumps(one.to_json())) for one in (before, config))
+    if there["episodes"] < here["episodes"]:  # the run was made longer
+        there["episodes"] = here["episodes"]
+    different = [key for key in here if there[key] != here[key]]
     if different:
         raise CheckpointError(
             f"{path} belongs to another run: "
-            + ", ".join(f"{k}={saved.get(k)!r} there, {now[k]!r} here" for k in different)
+            + ", ".join(f"{k}={there[k]!r} there, {here[k]!r} here" for k in different)
         )
 
 

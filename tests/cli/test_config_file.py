@@ -56,7 +56,7 @@ def test_a_runs_own_config_is_accepted_back(tmp_path, network):
     config = tiny(
         network=NETWORKS[network],
         critic_input="state",
-        ablate=("net",) if network != "deepset" else (),
+        ablate=("net",) if "net" in NETWORKS[network].features else (),
         gamma=0.5,
     )
     folder = prepare(config, tmp_path / "run", RunConfig())
