@@ -75,7 +75,7 @@ class GoalWeights:
 
     def as_tensor(self) -> Tensor:
         """The weights in their order, float32 [22]."""
-        return torch.tensor(astuple(self))
+        return torch.tensor(astuple(self), dtype=torch.float32)  # whatever torch's default
 
 
 NUM_WEIGHTS = len(fields(GoalWeights))

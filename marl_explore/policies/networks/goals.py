@@ -158,7 +158,7 @@ class GoalEncoder(nn.Module):
         self.still = _layers(_STILL + _CONTEXT, width)
         self.code = _layers(width, width)
         # saved with the policy: its prior does not follow later changes of the planner
-        self.register_buffer("weights", GoalWeights().as_tensor())
+        self.register_buffer("weights", GoalWeights().as_tensor().to(torch.get_default_dtype()))
         for name, numbers in _BUFFERS.items():
             self.register_buffer(name, torch.tensor(numbers), persistent=False)
 
