@@ -24,6 +24,7 @@ from marl_explore import (
     Policy,
     PolicyConfig,
     load_policy,
+    play,
 )
 from marl_explore.transforms.goals import Candidates, find_candidates
 from marl_explore.transforms.memory import RememberTeam
@@ -37,12 +38,8 @@ def half_explored(side: int) -> TensorDictBase:
     config = ArenaConfig(height=side, width=side)
     arenas = "uniform" if side < 32 else Caves(config)
     env = ExplorationEnv(config, arenas=arenas, terminate_at_coverage=EXPLORED, max_steps=10_000)
-    planner, now = GoalUtility(config.fov_radius), env.reset()
-    while True:
-        stepped = env.step(planner(now))
-        now = stepped["next"]
-        if now["done"].any():
-            return now
+    *_, last = play(GoalUtility(config.fov_radius), env, env.max_steps, until_done=True)
+    return last
 
 
 def measure(policy: Policy, sides: tuple[int, ...] = SIDES, repeats: int = 20) -> dict:

@@ -43,10 +43,6 @@ MEASURES = {
 }
 """The measures of the claims, and their columns in the table of policies."""
 
-Scores = Mapping[str, "Array"]
-"""What a measure is computed from, by policy: [S, A] of S seeds on A arenas, or [S, A, 2] for the
-numbers of some events and of all."""
-
 
 @dataclass(frozen=True)
 class Arguments:
@@ -140,20 +136,24 @@ def measured(episodes: Episodes) -> dict[str, float]:
     return metrics.summarize(episodes) | {SPREAD: spread}
 
 
-def scores_of(measure: str, episodes: Mapping[str, list[Episodes]]) -> Scores:
-    """What a measure is computed from."""
+def scores_of(episodes: list[Episodes]) -> dict[str, Array]:
+    """What every measure of a policy is computed from, by measure.
+
+    [S, A] of S seeds on A arenas, or [S, A, 2] for the numbers of some events and of all.
+    """
     import numpy as np
+    import torch
 
     from marl_explore.evaluation import metrics
 
-    def of_seed(episode: Episodes) -> Array:
-        shares = metrics.shares(episode)
-        if measure in shares:
-            return np.stack([shares[measure].part.numpy(), shares[measure].whole.numpy()], -1)
-        each = "coverage_at_150" if measure == SPREAD else measure
-        return metrics.per_episode(episode)[each].numpy()
+    def of_seed(episode: Episodes) -> dict[str, Array]:
+        each = metrics.per_episode(episode)
+        counts = {name: torch.stack(share, -1) for name, share in metrics.shares(episode).items()}
+        scores = {**each, **counts, SPREAD: each["coverage_at_150"]}
+        return {measure: scores[measure].numpy() for measure in MEASURES}
 
-    return {name: np.stack([of_seed(e) for e in seeds]) for name, seeds in episodes.items()}
+    seeds = [of_seed(episode) for episode in episodes]
+    return {measure: np.stack([seed[measure] for seed in seeds]) for measure in MEASURES}
 
 
 def statistic(measure: str, scores: Array) -> float:
@@ -176,9 +176,9 @@ def claims_table(episodes: Mapping[str, list[Episodes]]) -> str:
     from marl_explore.evaluation import stats
     from marl_explore.utils import tables
 
-    rows = []
+    rows, of_policies = [], {name: scores_of(seeds) for name, seeds in episodes.items()}
     for claim in CLAIMS:
-        scores = scores_of(claim.measure, episodes)
+        scores = {name: of_policy[claim.measure] for name, of_policy in of_policies.items()}
         of = partial(statistic, claim.measure)
         values = {name: of(sample) for name, sample in scores.items()}
         draws = stats.joint_draws(scores, dict.fromkeys(scores, of))

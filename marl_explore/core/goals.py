@@ -132,6 +132,10 @@ class _Robots:
         self.known_by = memory.known_by.reshape(-1, team, height * width)
         self.heading, self.goal = memory.heading.reshape(-1), memory.goal.reshape(-1, 2)
         self.unseen = (self.grid == UNKNOWN) & ~memory.covered.reshape(-1, height, width)
+        last = torch.tensor([height - 1, width - 1], device=self.grid.device)
+        beside = (self.position.unsqueeze(1) + compass(self.grid.device)).clamp_min(0)
+        self.beside = flat_cell(torch.minimum(beside, last), width)
+        self.gains = count_around(self.unseen, radius).flatten(1).gather(1, self.beside)
         self.labels, self.moves = first_moves(
             self.grid, self.position, self._closed(situation.taken.reshape(-1, NUM_DIRECTIONS))
         )
@@ -142,12 +146,9 @@ class _Robots:
 
     def _closed(self, taken: Tensor) -> Tensor:
         """Neighbouring cells that are taken, bool [M, H, W]."""
-        target = (self.position.unsqueeze(1) + compass(self.grid.device)).clamp_min(0)
-        row, column = target[..., 0].clamp_max(self.height - 1), target[..., 1]
-        cell = row * self.width + column.clamp_max(self.width - 1)
         closed = torch.zeros_like(self.grid, dtype=torch.uint8).flatten(1)
         return (
-            closed.scatter_reduce(1, cell, taken.to(torch.uint8), "amax")
+            closed.scatter_reduce(1, self.beside, taken.to(torch.uint8), "amax")
             .view(self.grid.shape)
             .bool()
         )
@@ -204,10 +205,7 @@ class _Robots:
         Of the first moves of all shortest paths, an allowed one that brings most unseen cells into
         view, and of equal ones the lowest direction; -1 for cells without a path.
         """
-        target = (self.position.unsqueeze(1) + compass(self.grid.device)).clamp_min(0)
-        target = torch.minimum(target, target.new_tensor([self.height - 1, self.width - 1]))
-        around = count_around(self.unseen, self.radius).flatten(1)
-        gains = around.gather(1, flat_cell(target, self.width))
+        gains = self.gains
         directions = torch.arange(NUM_DIRECTIONS, device=cell.device)
         merit = (gains + self.allowed * 2 * gains.new_tensor(self.height * self.width)) + 1
         merit = merit * NUM_DIRECTIONS - directions

@@ -100,13 +100,12 @@ def joint_draws(
     counts = {array.shape[1] for array in arrays.values()}
     if len(counts) != 1:
         raise ValueError(f"samples of {sorted(counts)} arenas cannot be drawn together")
-    generator, arenas = np.random.default_rng(seed), counts.pop()
+    generator = np.random.default_rng(seed)
     draws = {name: np.empty(resamples) for name in arrays}
     for i in range(resamples):
-        columns = generator.integers(arenas, size=arenas)
-        for name, array in arrays.items():
-            rows = generator.integers(len(array), size=(len(array), 1))
-            draws[name][i] = statistics[name](array[rows, columns])
+        drawn = _crossed([*arrays.values()], generator)
+        for name, array in zip(arrays, drawn, strict=True):
+            draws[name][i] = statistics[name](array)
     return draws
 
 
@@ -240,11 +239,17 @@ def _estimate(
                 s[generator.integers(len(s), size=s.shape), np.arange(arenas)] for s in samples
             ]
         else:
-            columns = generator.integers(arenas, size=arenas)
-            drawn = [s[generator.integers(len(s), size=(len(s), 1)), columns] for s in samples]
+            drawn = _crossed(samples, generator)
         draws[i] = statistic(*drawn)
     low, high = np.quantile(draws, _TAILS)
     return Estimate(statistic(*samples), float(low), float(high))
+
+
+def _crossed(samples: list[Array], generator: np.random.Generator) -> list[Array]:
+    """One draw of samples [S, A, ...]: the same arenas for all, seeds for each on its own."""
+    arenas = samples[0].shape[1]
+    columns = generator.integers(arenas, size=arenas)
+    return [s[generator.integers(len(s), size=(len(s), 1)), columns] for s in samples]
 
 
 def _over_seeds(value: float, samples: list[Array], combine: Callable[..., Array]) -> Estimate:

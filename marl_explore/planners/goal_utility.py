@@ -11,8 +11,10 @@ from torch import Tensor
 
 from marl_explore.config.constants import GOAL_COLUMNS
 from marl_explore.core.goals import GAIN_SQUARES
+from marl_explore.core.grid import COMMUNICATE
+from marl_explore.core.sensing import cells_in_view
 from marl_explore.planners.base import Planner
-from marl_explore.planners.communication import others_linked
+from marl_explore.planners.communication import never, others_linked
 from marl_explore.planners.goal_moves import follow, still_choices
 from marl_explore.transforms.goals import CONTEXT_COLUMNS, MATE_COLUMNS, Candidates, find_candidates
 from marl_explore.transforms.memory import RememberTeam
@@ -78,7 +80,6 @@ class GoalWeights:
         return torch.tensor(astuple(self), dtype=torch.float32)  # whatever torch's default
 
 
-NUM_WEIGHTS = len(fields(GoalWeights))
 _INDEX = {field.name: number for number, field in enumerate(fields(GoalWeights))}
 _OF_PLACES = _INDEX["move_gain"] + 1
 """The first weights belong to what ``place_terms`` says of a place."""
@@ -103,7 +104,7 @@ def place_terms(frontiers: Tensor, radius: int) -> Tensor:
     """What the first eleven weights multiply, [*B, 24, 11], from frontiers [*B, 24, 14]."""
     at = dict(zip(GOAL_COLUMNS, _real(frontiers).unbind(-1), strict=True))
     moves, turn, last = at["moves"].clamp_min(1), at["turn"], at["from_last_goal"]
-    near, middle, far = (cells_within(radius * factor) for factor in GAIN_SQUARES)
+    near, middle, far = (cells_in_view(radius * factor) for factor in GAIN_SQUARES)
     return torch.stack(
         (
             -moves,
@@ -171,11 +172,6 @@ def share(number: Tensor, half: float | Tensor) -> Tensor:
     return number / (number + half)
 
 
-def cells_within(radius: int) -> int:
-    """Cells of a square."""
-    return (2 * radius + 1) ** 2
-
-
 def _real(entries: Tensor) -> Tensor:
     return entries if entries.is_floating_point() else entries.float()
 
@@ -193,15 +189,14 @@ class GoalUtility(Planner):
     in_keys = [*Planner.in_keys, ("agents", "observation", "fov")]  # noqa: RUF012
 
     def __init__(self, radius: int, weights: GoalWeights | Tensor | None = None) -> None:
-        super().__init__(self._exchange)
+        super().__init__(never)  # exchanges are part of the plan
         weights = GoalWeights() if weights is None else weights
         self.radius = radius
         self.weights = weights.as_tensor() if isinstance(weights, GoalWeights) else weights
         self._memory = RememberTeam(radius)
-        self._overdue = torch.zeros(0, dtype=torch.bool)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
-        """First moves to the goals, int64 [*B, N]."""
+        """First moves to the goals, or COMMUNICATE, int64 [*B, N]."""
         known = self._memory(tensordict.select(*self.in_keys))
         found = find_candidates(known)
         weights = self.weights.to(found.frontiers.device)
@@ -212,8 +207,4 @@ class GoalUtility(Planner):
         covered = found.context[..., CONTEXT_COLUMNS.index("all_covered")] > 0
         waits = torch.where(covered & others_linked(tensordict).any(-1), talk, stay)
         choice = torch.where(best <= NOT_CHOSEN, waits, choice)
-        self._overdue = overdue(found, weights)
-        return follow(known, found, choice)
-
-    def _exchange(self, tensordict: TensorDictBase) -> Tensor:
-        return self._overdue
+        return follow(known, found, choice).masked_fill(overdue(found, weights), COMMUNICATE)

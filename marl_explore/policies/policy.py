@@ -135,10 +135,9 @@ class Policy(TensorDictModuleBase):
 
     def observe(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The team's input: the entries that it reads, and its features."""
-        observation = tensordict.select(*self.in_keys, MEMORY, strict=False)
-        missing = [key for key in self.in_keys if observation.get(key, None) is None]
-        if missing:
-            raise KeyError(f"the policy needs {missing[0]!r}, which is not in the TensorDict")
+        observation = tensordict.select(*self.in_keys)
+        if (memory := tensordict.get(MEMORY, None)) is not None:
+            observation.set(MEMORY, memory)
         fov = observation.get(FOV)
         self.check(robots=fov.shape[-3], fov_size=fov.shape[-1])
         return self._features(observation)

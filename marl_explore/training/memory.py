@@ -27,8 +27,11 @@ def require_training_memory(config: TrainConfig) -> None:
     critics = critic * (config.arena.num_agents if config.algorithm == "ippo" else 1)
     weights = COPIES * (policy_config(config).weights_memory + critics)
     require_memory(f"the weights of network={config.network!r}", weights)
-    step = 2 * make_training_env(config, num_envs=1).reset().bytes()  # and the next observation
+    batch = sum(
+        2 * team.batch_frames * make_training_env(team, num_envs=1).reset().bytes()
+        for team in config.teams  # twice: each step has the next observation too
+    )
     require_memory(
         f"a batch of num_envs={config.num_envs} x rollout_steps={config.rollout_steps}",
-        weights + config.batch_frames * step,
+        weights + batch,
     )

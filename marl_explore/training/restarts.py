@@ -70,12 +70,16 @@ class RestartingCollector:
         times = self.MAX_RESTARTS + 1
         raise WorkerError(f"workers died {times} times in a row; last error: {cause}") from cause
 
-    def start(self) -> None:
-        """Start the collector, if it is not running; ``next`` does so too.
+    def prepare(self) -> None:
+        """Start a collector of this process, if it is not running; ``next`` starts any.
 
-        Loading a state sets the random generators, so the collectors of one process must all be
-        started before any of them collects.
+        Loading a state sets the process's random generator, so if it has several collectors, all
+        must be prepared before any of them collects.
         """
+        if self._kind == "process":
+            self._start()
+
+    def _start(self) -> None:
         if self._collector is None:
             lost = self._done if self._kind == "multiasync" else 0
             self._collector = self._make(first_arena=lost * self._num_envs)
@@ -84,7 +88,7 @@ class RestartingCollector:
             self._batches = iter(self._collector)
 
     def _collect(self) -> TensorDictBase:
-        self.start()
+        self._start()
         assert self._collector is not None
         in_step = self._kind in ("multisync", "ray")
         if in_step:  # not with TorchRL's schemes, which wait forever for a worker that died

@@ -9,8 +9,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from marl_explore.config.constants import MAX_FRONTIERS
-from marl_explore.config.run import RunConfig
+from marl_explore.planners.goal_moves import still_choices
 from marl_explore.policies.actors import CHOICE, CHOICE_LOG_PROB
 from marl_explore.training.restarts import RestartingCollector
 
@@ -24,17 +23,15 @@ class TeamRollouts:
 
     Args:
         collectors: by team size.
-        run: which collectors they are.
     """
 
-    def __init__(self, collectors: Mapping[int, RestartingCollector], run: RunConfig) -> None:
-        self.collectors, self.run = dict(collectors), run
+    def __init__(self, collectors: Mapping[int, RestartingCollector]) -> None:
+        self.collectors = dict(collectors)
 
     def next(self) -> list[TensorDictBase]:
         """The next rollouts."""
-        if len(self.collectors) > 1 and self.run.collector == "process":
-            for collector in self.collectors.values():
-                collector.start()
+        for collector in self.collectors.values():
+            collector.prepare()
         return [collector.next() for collector in self.collectors.values()]
 
     def state(self) -> list[Any]:
@@ -70,9 +67,8 @@ def _padded(rollout: TensorDictBase, robots: int) -> TensorDictBase:
     team = rollout[CHOICE].shape[-1]
     missing = robots - team
     # to communicate and to stay come after the teammates
-    choice = rollout[CHOICE]
-    choice = torch.where(choice >= MAX_FRONTIERS + team, choice + missing, choice)
-    stay = MAX_FRONTIERS + robots + 1
+    choice, (talk, _), (_, stay) = rollout[CHOICE], still_choices(team), still_choices(robots)
+    choice = torch.where(choice >= talk, choice + missing, choice)
     following = rollout["next"]
     return TensorDict(
         {

@@ -61,7 +61,7 @@ class Trainer:
         self.factor_watch = FactorWatch()
         self.updates, self.seconds = 0, 0.0
         self.rollouts = TeamRollouts(
-            {team.arena.num_agents: self._collector(team, run) for team in config.teams}, run
+            {team.arena.num_agents: self._collector(team, run) for team in config.teams}
         )
 
     def _collector(self, config: TrainConfig, run: RunConfig) -> RestartingCollector:

@@ -13,7 +13,7 @@ from torchrl.envs import Transform
 from marl_explore.config.constants import COMMUNICATE, GOAL_COLUMNS, MAX_FRONTIERS
 from marl_explore.core import goals, native
 from marl_explore.core.goals import GoalTable, Situation, taken_cells
-from marl_explore.core.grid import NUM_DIRECTIONS
+from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
 from marl_explore.core.links import linked_others
 from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import goals as kernel
@@ -111,7 +111,7 @@ def _mates(agents: TensorDictBase, now: Tensor, memory: TeamMemory, table: GoalT
     """``Candidates.mates``."""
     position = agents.get("position")
     linked = linked_others(agents.get("linked"))
-    others = ~torch.eye(position.shape[-2], dtype=torch.bool, device=position.device)
+    others = other_robots(position.shape[-2], position.device)
     seen = memory.seen.step >= 0
     apart = (position.unsqueeze(-3) - position.unsqueeze(-2)).square().sum(-1)
     columns = (

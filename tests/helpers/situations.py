@@ -38,3 +38,21 @@ def placed(env, td, *cells):
 def names(action):
     """Actions of a single arena by name."""
     return [ACTIONS[index] for index in action.flatten().tolist()]
+
+
+def beyond_robot_0(step, config):
+    """An observation in which all that robot 0 cannot know is different.
+
+    That is the truth, the others' maps and memories, and where robots out of its range are: in the
+    corner farthest from it. Also returns how many of those there are.
+    """
+    changed = step.clone()
+    changed["obstacles"] = ~changed["obstacles"]
+    for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
+        changed["agents", key][:, 1:] = 0
+    position = changed["agents", "position"]
+    far = ~within_range(position, config.communication_cells)[:, 0]
+    last = torch.tensor([config.height - 1, config.width - 1])
+    hiding = torch.where(2 * position[:, :1] < last + 1, last, 0).expand_as(position)
+    position[far] = hiding[far]
+    return changed, int(far.sum())

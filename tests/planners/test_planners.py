@@ -9,14 +9,13 @@ from torchrl.envs import step_mdp
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core.grid import STAY
-from marl_explore.core.links import within_range
 from marl_explore.evaluation.episodes import watch
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.evaluation.results import evaluate
 from marl_explore.planners import PLANNERS, NearestFrontier, never
 from tests.helpers import oracle
 from tests.helpers.boards import arena
-from tests.helpers.situations import on_board
+from tests.helpers.situations import beyond_robot_0, on_board
 
 
 @pytest.mark.parametrize("name", sorted(PLANNERS))
@@ -191,15 +190,8 @@ def test_a_robot_decides_by_what_it_can_know(name):
     for step in history.unbind(1):
         torch.manual_seed(1)
         action = planner(step.clone())["agents", "action"][:, 0]
-        changed = step.clone()
-        changed["obstacles"] = ~changed["obstacles"]
-        for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
-            changed["agents", key][:, 1:] = 0
-        position = changed["agents", "position"]
-        far = ~within_range(position, config.communication_cells)[:, 0]
-        hiding = torch.where(position[:, :1] < 6, 11, 0).expand_as(position)  # the farthest corner
-        position[far] = hiding[far]
-        moved += int(far.sum())
+        changed, hidden = beyond_robot_0(step, config)
+        moved += hidden
         torch.manual_seed(1)
         assert ignorant(changed)["agents", "action"][:, 0].equal(action), name
     assert moved > 0

@@ -17,6 +17,7 @@ from marl_explore.policies.io import load_policy, save_policy
 from marl_explore.policies.policy import Policy, PolicyConfig
 from marl_explore.transforms.goals import CONTEXT_COLUMNS, MATE_COLUMNS, Candidates
 from marl_explore.transforms.memory import GOAL
+from tests.helpers.situations import beyond_robot_0
 
 ROBOTS = 3
 ARENA = ArenaConfig(num_agents=ROBOTS, height=9, width=10)
@@ -163,11 +164,13 @@ def test_its_own_most_likely_choices_need_no_sampling():
 
 def test_a_saved_policy_keeps_the_prior_it_was_trained_with(tmp_path):
     policy = a_policy()
-    policy.actors[0].encoder.weights[0] = 0.7  # as if the planner's weights had been others
+    policy.actors[0].encoder.features.weights[0] = (
+        0.7  # as if the planner's weights had been others
+    )
     path = tmp_path / "policy.safetensors"
     save_policy(policy, path)
     loaded = load_policy(path)
-    assert loaded.actors[0].encoder.weights[0] == pytest.approx(0.7)
+    assert loaded.actors[0].encoder.features.weights[0] == pytest.approx(0.7)
     rows = rows_of(episode())
     assert loaded.actors[0](*rows).equal(policy.actors[0](*rows))
     assert isinstance(find_policy(f"{path}:argmax", ARENA), ArgmaxPolicy)
@@ -181,14 +184,8 @@ def test_a_robot_decides_by_what_it_can_know():
     for step in history.unbind(1):
         torch.manual_seed(1)
         action = policy(step.clone())["agents", "action"][:, 0]
-        changed = step.clone()
-        changed["obstacles"] = ~changed["obstacles"]
-        for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
-            changed["agents", key][:, 1:] = changed["agents", key][:, 1:].roll(1, 0)
-        far = ~step["agents", "linked"][:, 0]
-        moved += far.sum()
-        place = changed["agents", "position"]
-        changed["agents", "position"] = torch.where(far[..., None], 8 - place.clamp_max(8), place)
+        changed, hidden = beyond_robot_0(step, ARENA)
+        moved += hidden
         torch.manual_seed(1)
         assert ignorant(changed)["agents", "action"][:, 0].equal(action)
     assert moved
