@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from marl_explore.core.grid import COMMUNICATE, STAY, other_robots
+from marl_explore.core.mapping import known_cells, known_mask, union_of
 
 
 class StepRecord(NamedTuple):
@@ -30,6 +31,8 @@ class StepRecord(NamedTuple):
     """q_ij before the step's merges reset it, int64 [*B, N, N] (cells)."""
     missing: Tensor
     """Target cells that each map does not know after the step, int64 [*B, N]."""
+    maps: tuple[Tensor, Tensor]
+    """Maps before and after the step, int8 [*B, N, H, W] each."""
     num_cells: int
     """H x W."""
     max_discovery: int
@@ -49,6 +52,12 @@ class StepRecord(NamedTuple):
     def gain(self) -> Tensor:
         """|M_i^t| - |M_i^(t-1)|, int64 [*B, N]."""
         return self.discovered + self.received
+
+    @property
+    def union_growth(self) -> Tensor:
+        """Cells that were new to the whole team, int64 [*B]."""
+        before, after = (known_cells(known_mask(union_of(grid))) for grid in self.maps)
+        return after - before
 
 
 Reward = Callable[[StepRecord], Tensor]
@@ -101,6 +110,15 @@ def progress(step: StepRecord) -> Tensor:
     return _less_prices((_growth(step) + mean) / 2, step)
 
 
+def union(step: StepRecord) -> Tensor:
+    """As ``team``, but with the mean of two growths: of the largest map and of all maps' union.
+
+    A discovery counts immediately, and once. Until an arena is complete both grow by the same cells
+    whatever the team does, so without a discount an episode's return depends on its time only.
+    """
+    return _less_prices((_growth(step) + step.union_growth.unsqueeze(-1)) / 2, step)
+
+
 def _growth(step: StepRecord) -> Tensor:
     """Growth of the largest map, int64 [*B, 1] (cells)."""
     largest_before = (step.known - step.gain).amax(-1, keepdim=True)
@@ -120,6 +138,7 @@ REWARDS: dict[str, Reward] = {
     "case2-lone-idle": case2_lone_idle,
     "team": team,
     "progress": progress,
+    "union": union,
 }
 
 

@@ -163,6 +163,7 @@ def advance(
         known=known,
         unshared=unshared,
         missing=missing,
+        maps=(state.map, sensed.map),
         num_cells=config.num_cells,
         max_discovery=config.max_discovery,
     )

@@ -34,8 +34,8 @@ class ExplorationEnv(EnvBase):
         config: the arena, its robots and their sensors; None: the default of ``arenas``, or the
             paper's.
         num_envs: arenas B stepped at once; the batch size is [B].
-        reward: "case1", "case2", "case2-lone-idle", "team", "progress", or a callable that takes a
-            ``StepRecord``.
+        reward: "case1", "case2", "case2-lone-idle", "team", "progress", "union", or a callable that
+            takes a ``StepRecord``.
         max_steps: episode length after which an arena is truncated (steps).
         terminate_at_coverage: coverage of the largest map, in (0, 1], that ends an episode; None:
             never.

@@ -32,7 +32,7 @@ class TrainConfig(NetworkSettings):
     arenas: str = "uniform"
     """Kind of arenas: the name of a suite, or uniform or mixed, which take any size."""
     reward: str = "case2"
-    """Reward function: case1, case2, case2-lone-idle, team or progress."""
+    """Reward function: case1, case2, case2-lone-idle, team, progress or union."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"
     """Normalisation of the frontier table."""
     algorithm: Algorithm = "happo"

@@ -15,6 +15,7 @@ from marl_explore.core.rewards import (
     progress,
     resolve,
     team,
+    union,
 )
 from marl_explore.core.world import advance, start
 from tests.helpers.boards import actions, arena
@@ -33,6 +34,7 @@ def record(names, **changes):
         known=torch.full((robots,), 50),
         unshared=torch.zeros(robots, robots, dtype=torch.int64),
         missing=torch.full((robots,), 50),
+        maps=(torch.full((robots, 12, 12), -1), torch.full((robots, 12, 12), -1)),
         num_cells=144,
         max_discovery=5,
     )
@@ -192,6 +194,43 @@ def test_the_rewards_of_a_step_on_a_drawn_board():
     assert_rewards(case2_lone_idle, step, [first, second, -10.0, 3 / 5, -1.0])
     # the largest map had 9 cells and has 12
     assert_rewards(team, step, [3 / 40 - 0.1 - 0.25 / 5] * 5)
+    # nobody knew the three cells that robot 3 found
+    assert_rewards(union, step, [(3 + 3) / 80 - 0.1 - 0.25 / 5] * 5)
+
+
+def test_union_pays_for_a_cell_once():
+    """Robot 0 walks to the columns 5 to 7, which robot 1 knows."""
+    config = ArenaConfig(height=3, width=10, num_agents=2, obstacle_density=0)
+    state = start(
+        config,
+        *arena("""
+            ..........
+            .0....1...
+            ..........
+        """),
+    )
+    for growth in (3, 3, 0):
+        state, step = advance(config, state, actions("E stay"))
+        assert step.discovered.tolist() == [3, 0]
+        assert step.union_growth == growth
+        assert_rewards(union, step, [(3 + growth) / 80 - 0.1] * 2)
+
+
+def test_without_a_discount_union_pays_for_time_alone():
+    """Whatever the robots do: the growths are those of a whole arena once it is complete."""
+    config = ArenaConfig(height=1, width=6, num_agents=2, obstacle_density=0)
+    for plan in (
+        ["E W", "talk talk"],
+        ["E stay"] * 4,
+        ["stay stay", "E W", "talk talk"],
+    ):
+        state, total = start(config, *arena("0....1")), 0.0
+        for names in plan:
+            state, step = advance(config, state, actions(names))
+            total += float(union(step)[0])
+        assert step.complete
+        # the largest of two maps of 2 of the 6 cells, and their union of 4, grow to 6
+        assert total == pytest.approx((4 + 2) / 80 - 0.1 * (len(plan) - 1))
 
 
 def test_q_counts_only_since_the_last_merge():
@@ -211,7 +250,7 @@ def test_q_counts_only_since_the_last_merge():
 # ---------------------------------------------------------------- names
 
 
-@pytest.mark.parametrize("name", ["case1", "case2", "case2-lone-idle", "team", "progress"])
+@pytest.mark.parametrize("name", ["case1", "case2", "case2-lone-idle", "team", "progress", "union"])
 def test_a_reward_has_a_name(name):
     assert resolve(name) is REWARDS[name]
 

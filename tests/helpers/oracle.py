@@ -349,6 +349,7 @@ def step(rules, state, actions) -> tuple[State, Step]:
         ],
         "team": [team(state, new, dangerous) for _ in robots],
         "progress": [progress(state, new, dangerous) for _ in robots],
+        "union": [union_reward(state, new, dangerous) for _ in robots],
     }
 
     for i in robots:
@@ -399,6 +400,13 @@ def progress(before, after, dangerous) -> float:
     mean = sum(map(known_cells, after.maps)) - sum(map(known_cells, before.maps))
     mean /= len(after.maps)
     return team(before, after, dangerous) + (mean - largest) / 80
+
+
+def union_reward(before, after, dangerous) -> float:
+    """As team, half of the growth being that of the union of all maps (Rewards)."""
+    largest = max(map(known_cells, after.maps)) - max(map(known_cells, before.maps))
+    whole = known_cells(union(after.maps)) - known_cells(union(before.maps))
+    return team(before, after, dangerous) + (whole - largest) / 80
 
 
 # ---------------------------------------------------------------- FPR

@@ -646,6 +646,7 @@ def rewards(settings, before, after, actions, dangerous, peers) -> dict[str, lis
         ),
         "team": lambda i: team(before, after, dangerous),
         "progress": lambda i: progress(before, after, dangerous),
+        "union": lambda i: union_reward(before, after, dangerous),
     }
     robots = range(settings.num_agents)
     return {
@@ -704,6 +705,16 @@ def progress(before, after, dangerous) -> float:
     mean -= sum(known_cells(before.maps[i]) for i in robots)
     mean /= len(robots)
     return team(before, after, dangerous) + (mean - largest) / 80
+
+
+def union_reward(before, after, dangerous) -> float:
+    """As team, half of the growth being that of the union of the survivors' maps."""
+    robots = living(after)
+    largest = max(known_cells(after.maps[i]) for i in robots)
+    largest -= max(known_cells(before.maps[i]) for i in robots)
+    whole = known_cells(union([after.maps[i] for i in robots]))
+    whole -= known_cells(union([before.maps[i] for i in robots]))
+    return team(before, after, dangerous) + (whole - largest) / 80
 
 
 def team_reward(after, individual) -> float:
