@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import gc
 import json
@@ -153,6 +154,39 @@ def test_no_setting_of_training_is_behind_the_numbers():
         assert all((fingerprint.PACKAGE / path).exists() for path in found)
         assert not any(path.parts[0] == "training" for path in found)
         assert Path("config", "arena.py") in found
+
+
+def imported(module):
+    """The package's modules that a module imports."""
+    names = set()
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("marl_explore"):
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    paths = [fingerprint.PACKAGE.joinpath(*name.split(".")[1:]) for name in names]
+    files = [file for path in paths for file in (path.with_suffix(".py"), path / "__init__.py")]
+    return {file for file in files if file.is_file() and file.parent != fingerprint.PACKAGE}
+
+
+@pytest.mark.parametrize(
+    ("planner", "acting"), [(True, "planners/__init__.py"), (False, "policies/policy.py")]
+)
+def test_the_fingerprint_covers_every_module_that_numbers_depend_on(planner, acting):
+    todo = [fingerprint.PACKAGE / path for path in (acting, "evaluation/episodes.py")]
+    reached = set()
+    while todo:
+        module = todo.pop()
+        if module not in reached:
+            reached.add(module)
+            todo += imported(module)
+    covered = fingerprint.sources(planner)
+    missing = {
+        str(module.relative_to(fingerprint.PACKAGE))
+        for module in reached
+        if not any(path == module or path in module.parents for path in covered)
+    }
+    # arenas have a fingerprint of their own; the others check settings, estimate memory and draw
+    others = {"config/fields.py", "utils/memory.py", "utils/palette.py"}
+    assert {name for name in missing if not name.startswith("arenas/")} <= others
 
 
 def test_the_bound_is_a_reference_without_episodes(tmp_path):

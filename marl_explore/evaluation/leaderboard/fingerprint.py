@@ -12,19 +12,25 @@ RULES = (
     "config/arena.py",
     "config/checks.py",
     "config/constants.py",
+    "config/goals.py",
     "core",
     "envs",
     "evaluation/episodes.py",
     "evaluation/metrics.py",
 )
-PLANNING = ("planners", "transforms/base.py", "transforms/frontier.py")
+PLANNING = ("planners", "transforms")
 ACTING = (
+    "planners/base.py",
+    "planners/communication.py",
+    "planners/goal_moves.py",
+    "planners/goal_utility.py",
     "transforms",
     "policies/actors.py",
     "policies/argmax.py",
     "policies/io.py",
     "policies/networks",
     "policies/policy.py",
+    "policies/stacking.py",
 )
 """Modules of planners and of trained policies, in addition to the rules and the measures."""
 
