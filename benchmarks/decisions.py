@@ -2,14 +2,18 @@
 
 python -m benchmarks.decisions [policy]
 
-A robot on its own: a map that a team of four has half explored, batch 1, one thread. The parts are
-the memory, the candidates (in C) and the network. The default policy has untrained weights: they
-do not matter here.
+Maps that a team of four has half explored, batch 1, one thread: the whole team with torch, and one
+of its robots alone in numpy, as an exported policy. The parts are the memory, the candidates (in C)
+and the network; in numpy memory and candidates are one. The default policy has untrained weights:
+they do not matter here.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
 
 import torch
 from tensordict import TensorDictBase
@@ -19,13 +23,16 @@ from marl_explore import (
     ArenaConfig,
     Caves,
     ExplorationEnv,
+    ExportedPolicy,
     Goals,
     GoalUtility,
     Policy,
     PolicyConfig,
+    export_npz,
     load_policy,
     play,
 )
+from marl_explore.policies.export import robot_observation
 from marl_explore.transforms.goals import Candidates, find_candidates
 from marl_explore.transforms.memory import RememberTeam
 
@@ -43,10 +50,11 @@ def half_explored(side: int) -> TensorDictBase:
 
 
 def measure(policy: Policy, sides: tuple[int, ...] = SIDES, repeats: int = 20) -> dict:
-    """Median milliseconds of a whole decision of a team of four, and of its parts, by side."""
+    """Median milliseconds of decisions and of their parts, with torch and in numpy, by side."""
     results = {}
     for side in sides:
         now = half_explored(side)
+        alone = _robot(policy, now)
         memory = RememberTeam(policy.config.arena.fov_radius)
         known = memory(now.clone())
         found = find_candidates(known)
@@ -59,11 +67,27 @@ def measure(policy: Policy, sides: tuple[int, ...] = SIDES, repeats: int = 20) -
                     "memory": lambda now=now, memory=memory: memory(now.clone(recurse=False)),
                     "candidates": lambda known=known: find_candidates(known),
                     "network": lambda rows=rows, actor=actor: actor(*rows),
+                    **alone,
                 },
                 repeats,
             )
         results[side] = {part: 1000 * value for part, value in seconds.items()}
     return results
+
+
+def _robot(policy: Policy, now: TensorDictBase) -> dict[str, Callable[[], object]]:
+    """A decision of robot 0 in numpy, and its parts."""
+    with tempfile.TemporaryDirectory() as folder:
+        robot = ExportedPolicy(export_npz(policy, Path(folder) / "policy.npz"), 0, sample=False)
+    seen = robot_observation(now, 0, 0)
+    robot(seen)
+    goals = robot._goals
+    found = goals._episode.find(seen)
+    return {
+        "robot": lambda: robot(seen),
+        "its candidates": lambda: goals._episode.find(seen),
+        "its network": lambda: goals.network(found),
+    }
 
 
 def untrained() -> Policy:
@@ -75,13 +99,11 @@ def untrained() -> Policy:
 def main() -> None:
     torch.set_num_threads(1)
     policy = load_policy(sys.argv[1]) if len(sys.argv) > 1 else untrained()
-    print("milliseconds for a team of four; a robot alone decides in at most a whole decision")
-    parts = ("decision", "memory", "candidates", "network")
-    print(f"{'side':>5}", *(f"{part:>12}" for part in parts), f"{'per robot':>12}")
-    for side, row in measure(policy).items():
-        print(
-            f"{side:>5}", *(f"{row[part]:12.3f}" for part in parts), f"{row['decision'] / 4:12.3f}"
-        )
+    print("milliseconds: a team of four with torch, then one of its robots in numpy")
+    for number, (side, row) in enumerate(measure(policy).items()):
+        if not number:
+            print(f"{'side':>5}", *(f"{part:>15}" for part in row))
+        print(f"{side:>5}", *(f"{milliseconds:15.3f}" for milliseconds in row.values()))
 
 
 if __name__ == "__main__":

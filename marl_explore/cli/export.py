@@ -26,12 +26,12 @@ class Arguments:
     """Run folder, policy file or bundled policy."""
     out: Path = Path("exported")
     """Folder for the files."""
-    kinds: tuple[Literal["npz", "onnx"], ...] = ("npz", "onnx")
-    """Formats to write."""
+    kinds: tuple[Literal["npz", "onnx"], ...] | None = None
+    """Formats to write; None: npz and onnx, but only npz for actors that choose among goals."""
 
     def __post_init__(self) -> None:
         """Check the arguments."""
-        require(len(self.kinds) > 0, "kinds", self.kinds, "name at least one format, npz or onnx")
+        require(self.kinds != (), "kinds", self.kinds, "name at least one format, npz or onnx")
 
 
 def parse(words: Sequence[str], prog: str = "marl-explore export") -> Arguments:
@@ -41,17 +41,23 @@ def parse(words: Sequence[str], prog: str = "marl-explore export") -> Arguments:
 
 def run(arguments: Arguments) -> None:
     """Export the policy, and write a record."""
-    from marl_explore.policies.export import export_npz, export_onnx, require_exportable
+    from marl_explore.policies.export import (
+        export_npz,
+        export_onnx,
+        possible_kinds,
+        require_exportable,
+    )
     from marl_explore.policies.io import load_policy
     from marl_explore.utils import records
 
     policy = load_policy(arguments.policy)
-    require_exportable(policy, arguments.kinds)
+    kinds = arguments.kinds or possible_kinds(policy)
+    require_exportable(policy, kinds)
     arguments.out.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
-    if "npz" in arguments.kinds:
+    if "npz" in kinds:
         paths.append(export_npz(policy, arguments.out / "policy.npz"))
-    if "onnx" in arguments.kinds:
+    if "onnx" in kinds:
         paths += export_onnx(policy, arguments.out)
     records.write_json(arguments.out / "export.json", records.provenance())
     print(*paths, sep="\n")

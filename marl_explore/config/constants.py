@@ -47,3 +47,33 @@ GOAL_COLUMNS = (
     "from_last_goal",
 )
 """What is known about each of them."""
+MATE_COLUMNS = (
+    "seen",
+    "linked",
+    "age",
+    "moves",
+    "move",
+    "unshared",
+    "since",
+    "square_distance",
+    "waited",
+)
+"""What is known about each teammate."""
+CONTEXT_COLUMNS = (
+    "step",
+    "known_cells",
+    "cells",
+    "robots",
+    "all_covered",
+    "refused",
+    "may_communicate",
+)
+"""What is known about the robot itself."""
+GAIN_SQUARES = (1, 2, 4)
+"""Radii of the squares in which unseen cells are counted, in radii of the field of view."""
+LONG_AGO = 10_000
+"""Steps since a merge that stand for all longer times, and for never."""
+NOT_SEEN = -1_000_000
+"""Step of the last sighting of a teammate if there was none."""
+PATIENCE_STEPS = 8
+"""Steps for which a robot leaves cells to those who have seen them while nothing else is left."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from marl_explore.config.constants import GAIN_SQUARES
 from marl_explore.config.constants import GOAL_COLUMNS as GOAL_COLUMNS
 from marl_explore.config.constants import MAX_FRONTIERS as MAX_FRONTIERS
 from marl_explore.core.frontier import first_moves, frontier_mask
@@ -29,8 +30,6 @@ from marl_explore.core.memory import TeamMemory
 from marl_explore.core.sensing import count_around
 from marl_explore.core.wavefront import nearest_distance
 
-GAIN_SQUARES = (1, 2, 4)
-"""Radii of the squares in which unseen cells are counted, in radii of the field of view."""
 LARGE_POCKET = 64
 """Cells from which on the size of an unseen region no longer matters."""
 FAR_CELLS = 20

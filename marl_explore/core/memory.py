@@ -11,14 +11,11 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from marl_explore.config.constants import NOT_SEEN as NOT_SEEN
+from marl_explore.config.constants import PATIENCE_STEPS as PATIENCE_STEPS
 from marl_explore.core.grid import UNKNOWN, compass
 from marl_explore.core.links import linked_others
 from marl_explore.core.sensing import in_view
-
-NOT_SEEN = -1_000_000
-"""Step of the last sighting if there was none."""
-PATIENCE_STEPS = 8
-"""Steps for which a robot leaves cells to those who have seen them while nothing else is left."""
 
 
 class Sightings(NamedTuple):

@@ -35,17 +35,24 @@ MakePolicy = Callable[[int, int], runtime.Policy]
 _MOST_SECONDS = 300.0  # limit for one step; robots give up much earlier
 
 
-def exported_policies(policy: Policy, sample: bool = True, seed: int = 0) -> MakePolicy:
+def exported_policies(
+    policy: Policy, sample: bool = True, seed: int = 0, robots: int | None = None
+) -> MakePolicy:
     """A trained policy as robots run it, in numpy.
 
     Args:
         policy: the team.
         sample: whether actions are sampled; False: the most likely actions.
         seed: of the sampled actions; every arena and robot has its own.
+        robots: size of the team; None: of that which the policy was trained for.
+
+    Raises:
+        ValueError: for a policy that is for another number of robots, or cannot be exported.
     """
+    robots = policy.config.arena.num_agents if robots is None else robots
+    policy.check(robots, policy.config.arena.fov_size)
     with tempfile.TemporaryDirectory() as folder:
         path = export_npz(policy, Path(folder) / "policy.npz")
-        robots = policy.config.arena.num_agents
         actors = [ExportedPolicy(path, robot, sample, seed) for robot in range(robots)]
     return lambda arena, robot: actors[robot].with_seed([seed, arena, robot])
 
@@ -62,7 +69,8 @@ class LabRunner:
         seed: of noise, initial headings and sampled actions.
 
     Raises:
-        ValueError: for starts that are occupied or shared, or a layout of another size.
+        ValueError: for starts that are occupied or shared, a layout of another size, or a policy
+            for another team or field of view.
         ModuleNotFoundError: without VMAS (the extra "lab").
     """
 
@@ -77,7 +85,8 @@ class LabRunner:
     ) -> None:
         if isinstance(policy, Policy):
             config, fpr = config or policy.config.arena, policy.config.fpr
-            policy = exported_policies(policy, seed=seed)
+            policy.check(config.num_agents, config.fov_size)
+            policy = exported_policies(policy, seed=seed, robots=config.num_agents)
         self.config = config or ArenaConfig()
         self.world = LabWorld(self.config, arenas, noise, seed)
         robots = range(self.config.num_agents)

@@ -6,9 +6,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from marl_explore.config.constants import GOAL_COLUMNS, MAX_FRONTIERS
+from marl_explore.config.constants import GOAL_COLUMNS, MATE_COLUMNS, MAX_FRONTIERS
 from marl_explore.core.grid import COMMUNICATE, STAY
-from marl_explore.transforms.goals import MATE_COLUMNS, Candidates
+from marl_explore.transforms.goals import Candidates
 from marl_explore.transforms.memory import GOAL
 
 

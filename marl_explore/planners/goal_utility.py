@@ -9,14 +9,19 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from marl_explore.config.constants import GOAL_COLUMNS
-from marl_explore.core.goals import GAIN_SQUARES
+from marl_explore.config.constants import (
+    CONTEXT_COLUMNS,
+    GAIN_SQUARES,
+    GOAL_COLUMNS,
+    MATE_COLUMNS,
+)
+from marl_explore.config.goals import HALVES, LATEST_START, POCKET_FADE
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.core.sensing import cells_in_view
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import never, others_linked
 from marl_explore.planners.goal_moves import follow, still_choices
-from marl_explore.transforms.goals import CONTEXT_COLUMNS, MATE_COLUMNS, Candidates, find_candidates
+from marl_explore.transforms.goals import Candidates, find_candidates
 from marl_explore.transforms.memory import RememberTeam
 
 NOT_CHOSEN = -1e9
@@ -112,9 +117,9 @@ def place_terms(frontiers: Tensor, radius: int) -> Tensor:
             at["near_gain"] / near,
             at["middle_gain"] / middle,
             at["far_gain"] / far,
-            share(at["merged_cells"], 4),
-            (-at["pocket"] / 8).exp(),
-            share(at["isolation"], 6),
+            share(at["merged_cells"], HALVES["merged_cells"]),
+            (-at["pocket"] / POCKET_FADE).exp(),
+            share(at["isolation"], HALVES["isolation"]),
             ((last >= 0) & (last <= radius)).to(moves),
             (turn * (math.pi / 4)).cos() * (turn >= 0),
             at["move_gain"] / near,
@@ -149,7 +154,8 @@ def mate_utility(candidates: Candidates, weights: Tensor) -> Tensor:
     of_moves, of_age, of_unshared = (
         weights[..., _INDEX[f"mate_{name}"], None] for name in ("moves", "age", "unshared")
     )
-    value = of_age * share(age, 32) + of_unshared * share(unshared, 64) - of_moves * moves
+    known = of_age * share(age, HALVES["age of a visit"])
+    value = known + of_unshared * share(unshared, HALVES["unshared"]) - of_moves * moves
     covered = context[..., CONTEXT_COLUMNS.index("all_covered"), None] > 0
     return value.masked_fill(~(covered & (linked == 0) & (moves > 0)), NOT_CHOSEN)
 
@@ -163,7 +169,7 @@ def overdue(candidates: Candidates, weights: Tensor) -> Tensor:
         candidates.mates[..., MATE_COLUMNS.index(name)] for name in ("linked", "since")
     )
     timer, start = weights[..., _INDEX["timer"], None], weights[..., _INDEX["start"]]
-    begin = ((cells / robots.clamp_min(1)).sqrt() * start).clamp_max(14).round()
+    begin = ((cells / robots.clamp_min(1)).sqrt() * start).clamp_max(LATEST_START).round()
     return (now >= begin) & ((linked > 0) & (since >= timer.round())).any(-1)
 
 

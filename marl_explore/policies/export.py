@@ -1,7 +1,7 @@
 """Export of policies for use without torch: one .npz for numpy, or an ONNX graph per robot.
 
-Both hold only the actors' networks: FPR and NET are computed before the network, and sampling comes
-after it (``marl_explore.robot`` does both; see docs/robots.md).
+Both hold only the actors' networks: FPR, NET and candidate goals are computed before the network,
+and the choice comes after it (``marl_explore.robot`` does both; see docs/robots.md).
 """
 
 from __future__ import annotations
@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import torch
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
@@ -19,10 +21,14 @@ from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATU
 from marl_explore.policies.io import require_weights
 from marl_explore.policies.networks import PAPER_INPUTS
 from marl_explore.policies.policy import Policy
+from marl_explore.robot.observation import Observation
 from marl_explore.robot.policy import FORMAT, save_arrays
+from marl_explore.transforms.goals import Candidates
 from marl_explore.utils.extras import require_extra
 from marl_explore.utils.files import atomic_write
 
+Kind = Literal["npz", "onnx"]
+"""Formats of exported policies."""
 INPUTS = ("fov", "fpr", "net", "action_mask")
 OUTPUTS = ("action", "masked_logits")
 NOT_IN_THE_GRAPH = (
@@ -63,10 +69,11 @@ def spec_text(policy: Policy) -> str:
     """A description of the networks as JSON: format, arena, network, FPR's normalisation.
 
     Raises:
-        ValueError: for actors that read more than robots compute (FOV, FPR and NET).
+        ValueError: for actors that read more than robots compute: FOV, FPR and NET, or candidate
+            goals.
     """
     read = policy.team.stacked.inputs
-    if read != PAPER_INPUTS:
+    if read not in (PAPER_INPUTS, Candidates._fields):
         raise ValueError(f"actors that read {read} cannot be exported: robots have {PAPER_INPUTS}")
     twin = policy.config.network.exported_as
     return json.dumps({"format": FORMAT, "twin": twin, **policy.config.to_json()})
@@ -81,16 +88,25 @@ def require_exportable(policy: Policy, kinds: Sequence[str]) -> None:
 
     Raises:
         ModuleNotFoundError: when ONNX is asked for and not installed, saying how to install it.
-        ValueError: for actors that read more than FOV, FPR and NET, weights that are not finite,
-            or, as .npz, a network without a numpy twin.
+        ValueError: for actors that read more than robots compute, weights that are not finite,
+            as .npz, a network without a numpy twin, or, as ONNX, actors that choose among goals.
     """
     spec_text(policy)
     require_weights(policy.actors.state_dict(), "the policy")
+    name = policy.config.network.name
     if "npz" in kinds and policy.config.network.exported_as is None:
-        name = policy.config.network.name
         raise ValueError(f"{name} actors cannot be exported as .npz: they have no numpy twin")
     if "onnx" in kinds:
+        if "onnx" not in possible_kinds(policy):
+            raise ValueError(
+                f"{name} actors cannot be exported as ONNX: they choose among goals; .npz works"
+            )
         require_extra("onnx", "onnxscript")
+
+
+def possible_kinds(policy: Policy) -> tuple[Kind, ...]:
+    """The formats in which a policy's actors can be written."""
+    return ("npz",) if policy.config.network.chooses == "goals" else ("npz", "onnx")
 
 
 def export_npz(policy: Policy, path: str | Path) -> Path:
@@ -102,7 +118,7 @@ def export_npz(policy: Policy, path: str | Path) -> Path:
 
     Raises:
         ValueError: for another ending, a folder that does not exist, actors that read more than
-            FOV, FPR and NET, weights that are not finite, or a network without a numpy twin.
+            robots compute, weights that are not finite, or a network without a numpy twin.
     """
     path = Path(path)
     if path.suffix != ".npz" or not path.parent.is_dir():
@@ -129,7 +145,8 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
 
     Raises:
         ModuleNotFoundError: when onnx or onnxscript is not installed, saying how to install it.
-        ValueError: for actors that read more than FOV, FPR and NET, or weights that are not finite.
+        ValueError: for actors that read more than FOV, FPR and NET, or choose among goals, and
+            weights that are not finite.
     """
     require_exportable(policy, ("onnx",))
     import onnx
@@ -168,6 +185,43 @@ def _graph(deployed: Deployed, arena: ArenaConfig) -> Any:
     )
     assert program is not None
     return program.model_proto
+
+
+def robot_observation(tensordict: TensorDictBase, arena: int, robot: int) -> Observation:
+    """What one robot observes in a step of an environment, as robots have it.
+
+    Args:
+        tensordict: with the entries of ``ExplorationEnv``, batch [B]; FPR and NET are 0 where it
+            does not have them.
+        arena: index in the batch.
+        robot: its number.
+    """
+    team = tensordict.get("agents")
+
+    def own(key: NestedKey) -> Any:
+        return team.get(key)[arena, robot].numpy()
+
+    cells = [tuple(cell) for cell in team.get("position")[arena].tolist()]
+    empty = {"fpr": (NUM_DIRECTIONS, NUM_FEATURES), "net": (len(cells),)}
+    features = {
+        name: np.zeros(shape, np.float32)
+        if team.get(("observation", name), None) is None
+        else own(("observation", name))
+        for name, shape in empty.items()
+    }
+    return Observation(
+        fov=own(("observation", "fov")),
+        fpr=features["fpr"],
+        net=features["net"],
+        action_mask=own("action_mask"),
+        map=own("map"),
+        position=cells[robot],
+        unshared=own("unshared"),
+        steps_since_merge=own("steps_since_merge"),
+        step=int(tensordict.get("step_count")[arena]),
+        mates={mate: cells[mate] for mate in own("linked").nonzero()[0].tolist() if mate != robot},
+        refused=bool(own("dangerous")),
+    )
 
 
 def example_inputs(arena: ArenaConfig, rows: int, seed: int = 0) -> Sequence[Tensor]:

@@ -38,6 +38,11 @@ class Frame:
         x = (column + 0.5 - self.width / 2) * self.cell_size
         return x, (self.height / 2 - row - 0.5) * self.cell_size
 
+    def nearest(self, cell: GridCell) -> GridCell:
+        """The cell inside the arena that is nearest to a cell."""
+        row, column = cell
+        return min(max(row, 0), self.height - 1), min(max(column, 0), self.width - 1)
+
     def inside(self, cell: GridCell) -> bool:
         """Whether a cell is inside the arena."""
         return 0 <= cell[0] < self.height and 0 <= cell[1] < self.width

@@ -1,4 +1,4 @@
-"""A robot's observation: FOV, FPR, NET and the action mask, from its map and the poses."""
+"""A robot's observation: FOV, FPR, NET, action mask and teammates, from its map and the poses."""
 
 from __future__ import annotations
 
@@ -44,6 +44,12 @@ class Observation(NamedTuple):
     """[N]."""
     steps_since_merge: NDArray[np.int64]
     """[N]."""
+    step: int = 0
+    """Of the episode: the tick of the team's clock."""
+    mates: Mapping[int, GridCell] = {}
+    """Cells of the robots that it is linked to, by robot."""
+    refused: bool = False
+    """Whether its last action was a move that was not made."""
 
 
 def in_range(cell: GridCell, other: GridCell, range_cells: float) -> bool:
@@ -57,6 +63,8 @@ def observe(
     cells: Mapping[int, GridCell],
     config: ArenaConfig,
     fpr: Normalization | None,
+    step: int = 0,
+    refused: bool = False,
 ) -> Observation:
     """The observation of a robot.
 
@@ -65,6 +73,8 @@ def observe(
         cells: of the robots whose poses are known, including its own.
         config: sizes and ranges.
         fpr: normalisation of the frontier table.
+        step: of the episode.
+        refused: whether the robot's last action was a move that was not made.
     """
     robot = knowledge.robot
     cell = cells[robot]
@@ -83,6 +93,10 @@ def observe(
         position=cell,
         unshared=knowledge.unshared.copy(),
         steps_since_merge=knowledge.steps_since_merge.copy(),
+        step=step,
+        # a robot beside the border may be measured outside
+        mates={other: knowledge.frame.nearest(others[other]) for other in others if net[other]},
+        refused=refused,
     )
 
 

@@ -23,36 +23,43 @@ from marl_explore.config.constants import (
     Normalization,
 )
 from marl_explore.config.fields import read_fields
+from marl_explore.robot.goal_actor import GoalActor
 from marl_explore.robot.networks import TWINS, Array
 from marl_explore.robot.observation import Observation
 from marl_explore.utils.json_files import parse_object
 
 FORMAT = "marl_explore.actors/2"
-_ALLOWED = {"twin": tuple(TWINS), "fpr": NORMALIZATIONS}
+GOALS = "goals"
+"""The twin of actors that choose among goals (``goal_actor.GoalActor``)."""
+_ALLOWED = {"twin": (*TWINS, GOALS), "fpr": NORMALIZATIONS}
 
 
 class ExportedPolicy:
-    """One robot's actor: logits from numpy, then a masked choice.
+    """One robot's actor: logits from numpy, then a choice.
 
-    Called with an ``Observation`` it returns an action.
+    Called with an ``Observation`` it returns an action. A policy that chooses among goals
+    (docs/goals.md) has a memory of its episode: call it once per step. The memory is blank at
+    first, after ``reset``, and whenever the step is 0 or before the last one. Its robots give way
+    (docs/planners.md), so they also draw random numbers when the most likely choice is taken.
 
     Args:
         path: an exported .npz file.
         robot: whose actor to take.
         sample: whether actions are sampled; False: the most likely action, with which a memoryless
             policy can repeat a refused move forever.
-        seed: of the sampled actions.
+        seed: of all random numbers.
 
     Raises:
         ValueError: when the file is not an exported policy, naming what does not fit, or has no
             such robot.
+        RuntimeError: when the policy chooses among goals, and the native kernel cannot be used.
     """
 
     def __init__(self, path: str | Path, robot: int, sample: bool = True, seed: int = 0) -> None:
         self.spec, weights = _read(Path(path))
         self.arena = ArenaConfig(**self.spec["arena"])
         self.fpr: Normalization | None = self.spec["fpr"]
-        if not 0 <= robot < self.arena.num_agents:
+        if robot < 0 or (robot >= self.arena.num_agents and not self.any_team):
             raise ValueError(
                 f"robot={robot!r} is not allowed: {path} has actors of {self.arena.num_agents}"
             )
@@ -63,19 +70,54 @@ class ExportedPolicy:
             if name.startswith(prefix)
         }
         self._ablate = frozenset(self.spec["ablate"])
-        self._logits = TWINS[self.spec["twin"]]
-        self._chance = np.random.default_rng([seed, robot]) if sample else None
+        self._sample, self._chance = sample, np.random.default_rng([seed, robot])
+        self._goals: GoalActor | None = None
         try:
-            self._check_weights()
+            self._check_finite()
+            if self.spec["twin"] == GOALS:
+                radius, options = self.arena.fov_radius, self.spec["options"]
+                self._goals = GoalActor(self._weights, options, robot, radius)
+            else:
+                self._logits = TWINS[self.spec["twin"]]
+                self._check_weights()
         except (LookupError, ValueError) as error:
             reason = f"the actor of robot {robot} does not fit its spec: {error}"
             raise ValueError(f"{path} is not an exported policy: {reason}") from error
 
+    @property
+    def any_team(self) -> bool:
+        """Whether it works for any number of robots."""
+        return self.spec["twin"] == GOALS and bool(self.spec.get("shared"))
+
+    def check(self, robots: int, fov_size: int) -> None:
+        """Raise an error for another team or sensor than the policy was trained for.
+
+        Args:
+            robots: size of the team.
+            fov_size: side of the field of view (cells).
+
+        Raises:
+            ValueError: naming both.
+        """
+        arena = self.arena
+        if robots != arena.num_agents and not self.any_team:
+            raise ValueError(
+                f"the policy was trained for num_agents={arena.num_agents}, not {robots}"
+            )
+        if fov_size != arena.fov_size:
+            raise ValueError(
+                f"the policy was trained for fov_radius={arena.fov_radius}, and the field of view "
+                f"is {fov_size} x {fov_size} cells"
+            )
+
+    def _check_finite(self) -> None:
+        for name, array in self._weights.items():
+            if array.dtype.kind != "f" or not np.isfinite(array).all():
+                raise ValueError(f"{name} must be finite floating-point numbers")
+
     def _check_weights(self) -> None:
         """Check, with a trial run, that the arrays are a network for the arena."""
         for name, array in self._weights.items():
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} must be finite")
             layer, _, kind = name.rpartition(".")
             bias = self._weights.get(f"{layer}.bias")
             if kind == "weight" and (bias is None or bias.shape != array.shape[:1]):
@@ -89,20 +131,33 @@ class ExportedPolicy:
             raise ValueError(f"it gives {logits.shape} instead of {NUM_ACTIONS} logits")
 
     def __call__(self, observation: Observation) -> int:
-        """An allowed action."""
+        """An allowed action.
+
+        Raises:
+            ValueError: for an observation of another team or field of view than the policy's, where
+                it chooses among goals.
+        """
+        if self._goals is not None:
+            self.check(len(observation.net), len(observation.fov))
+            return self._goals.act(observation, self._chance, self._sample)
         logits = self.masked_logits(
             observation.fov, observation.fpr, observation.net, observation.action_mask
         )
-        if self._chance is None:
+        if not self._sample:
             return int(logits.argmax())
         return int((logits + self._chance.gumbel(size=logits.shape)).argmax())
 
     def with_seed(self, seed: int | Sequence[int]) -> ExportedPolicy:
-        """The same actor, sampling with another seed; the weights are shared."""
+        """The same actor with another seed and a blank memory; the weights are shared."""
         other = copy.copy(self)
-        if self._chance is not None:
-            other._chance = np.random.default_rng(seed)
+        other._chance = np.random.default_rng(seed)
+        other._goals = self._goals and self._goals.blank()
         return other
+
+    def reset(self) -> None:
+        """Forget the episode; most policies remember nothing."""
+        if self._goals is not None:
+            self._goals.reset()
 
     def masked_logits(
         self, fov: Array, fpr: Array, net: Array, action_mask: NDArray[np.bool_]
@@ -114,7 +169,12 @@ class ExportedPolicy:
             fpr: [*B, 8, 3].
             net: [*B, N].
             action_mask: bool [*B, 10].
+
+        Raises:
+            ValueError: for a policy that chooses among goals.
         """
+        if self._goals is not None:
+            raise ValueError("the policy chooses among goals: it has no logits of actions")
         inputs = {"fov": fov, "fpr": fpr, "net": net}
         for name in self._ablate & inputs.keys():
             inputs[name] = np.zeros_like(inputs[name])
@@ -169,3 +229,10 @@ def _check_spec(spec: Mapping[str, Any]) -> None:
     if not isinstance(spec.get("shared", False), bool):
         raise ValueError(f"shared={spec['shared']!r} is not allowed: it must be true or false")
     read_fields(ArenaConfig, spec["arena"], "its spec, arena")
+    if spec["twin"] == GOALS:
+        if not isinstance(spec.get("options"), dict):
+            raise ValueError(
+                f"options={spec.get('options')!r} is not allowed: goals need an object"
+            )
+        if spec["ablate"]:
+            raise ValueError(f"ablate={spec['ablate']!r} is not allowed: goals have no ablations")

@@ -13,7 +13,7 @@ from marl_explore.config.constants import (
     STAY,
     Normalization,
 )
-from marl_explore.robot.agreement import Way, agree
+from marl_explore.robot.agreement import Way, agree, target
 from marl_explore.robot.clock import Clock
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Frame, GridCell
@@ -168,9 +168,17 @@ class RobotCore:
         seen = sight(scan, own, poses.values(), self.frame, radius, beams)
         self.knowledge.sense(cell, seen)
         self._merge()
-        self.observation = observe(self.knowledge, cells, self.config, self.fpr)
+        refused = self._was_refused(cell)
+        self.observation = observe(self.knowledge, cells, self.config, self.fpr, self.tick, refused)
         self._decide(self.observation, now)
         return True
+
+    def _was_refused(self, cell: GridCell) -> bool:
+        """Whether the last decision was a move that did not lead to its target."""
+        if self.observation is None or self.action >= STAY:
+            return False
+        start = self.observation.position
+        return cell != target(Intent(self.robot, self.tick, start, self.action))
 
     def _merge(self) -> None:
         for tick, partners in self._partners.items():

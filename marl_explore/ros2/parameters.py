@@ -67,7 +67,7 @@ class RobotParameters:
     robot: int = 0
     """The robot's number in the team."""
     policy: str = ""
-    """An exported policy (.npz); it determines arena, team size and ranges."""
+    """An exported policy (.npz); it determines arena and ranges, and most also the team's size."""
     team: list[str] = field(default_factory=four_robots)
     """Namespaces of all robots, in the order of their numbers."""
     frame: str = "arena"
@@ -98,12 +98,14 @@ class RobotParameters:
         if not Path(self.policy).is_file():
             raise ValueError(f"policy={self.policy!r} is not allowed: it must be an exported .npz")
         policy = ExportedPolicy(self.policy, self.robot, self.sample, self.seed)
-        robots = policy.arena.num_agents
-        if len(self.team) != robots:
+        robots = len(self.team)
+        if robots != policy.arena.num_agents and not policy.any_team:
             raise ValueError(
-                f"team={self.team!r} is not allowed: the policy is for {robots} robots"
+                f"team={self.team!r} is not allowed: the policy is for {policy.arena.num_agents} "
+                "robots"
             )
+        arena = dataclasses.replace(policy.arena, num_agents=robots)
         clock = (
             PeriodClock(self.period) if self.period else BarrierClock(range(robots), self.patience)
         )
-        return RobotCore(self.robot, policy.arena, policy, clock, policy.fpr, self.settings)
+        return RobotCore(self.robot, arena, policy, clock, policy.fpr, self.settings)

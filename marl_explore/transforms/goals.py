@@ -10,7 +10,14 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
-from marl_explore.config.constants import COMMUNICATE, GOAL_COLUMNS, MAX_FRONTIERS
+from marl_explore.config.constants import (
+    COMMUNICATE,
+    CONTEXT_COLUMNS,
+    GOAL_COLUMNS,
+    LONG_AGO,
+    MATE_COLUMNS,
+    MAX_FRONTIERS,
+)
 from marl_explore.core import goals, native
 from marl_explore.core.goals import GoalTable, Situation, taken_cells
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
@@ -20,30 +27,6 @@ from marl_explore.core.native import goals as kernel
 from marl_explore.transforms.frontier import Backend
 from marl_explore.transforms.memory import ALL_COVERED, MEMORY, from_tensordict
 
-MATE_COLUMNS = (
-    "seen",
-    "linked",
-    "age",
-    "moves",
-    "move",
-    "unshared",
-    "since",
-    "square_distance",
-    "waited",
-)
-"""Columns of ``Candidates.mates``."""
-CONTEXT_COLUMNS = (
-    "step",
-    "known_cells",
-    "cells",
-    "robots",
-    "all_covered",
-    "refused",
-    "may_communicate",
-)
-"""Columns of ``Candidates.context``."""
-LONG_AGO = 10_000
-"""Steps that stand for all longer times, and for never."""
 READ: list[NestedKey] = [
     "step_count",
     *(

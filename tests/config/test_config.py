@@ -7,7 +7,7 @@ import math
 import pytest
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.policies.networks import DeepSet
+from marl_explore.policies.networks import DeepSet, Goals
 from marl_explore.training.config import TrainConfig
 
 
@@ -84,6 +84,10 @@ def test_an_infinite_communication_range_is_allowed():
         (
             {"network": DeepSet(), "critic_input": "state", "ablate": ("net",)},
             r"ablate=\('net',\) .*deepset actors do not read net",
+        ),
+        (
+            {"network": Goals(), "algorithm": "mappo", "ablate": ("communication",)},
+            r"ablate=\('communication',\) .*goals actors .* cannot do without communication",
         ),
     ],
 )

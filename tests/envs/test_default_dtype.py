@@ -50,7 +50,9 @@ def assert_same(one, other):
         torch.testing.assert_close(value, other[key], msg=lambda text, key=key: f"{key}: {text}")
 
 
-@pytest.mark.parametrize("reward", ["case1", "case2", "case2-lone-idle", "team", "progress", "union"])
+@pytest.mark.parametrize(
+    "reward", ["case1", "case2", "case2-lone-idle", "team", "progress", "union"]
+)
 def test_rollouts_with_every_reward_are_the_same(reward):
     def run():
         env = ExplorationEnv(num_envs=4, reward=reward, terminate_at_coverage=0.9)

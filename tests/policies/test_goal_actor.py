@@ -7,7 +7,13 @@ import torch
 from torch.testing import assert_close
 
 from marl_explore import ArenaConfig, ExplorationEnv, Goals, evaluate, make_env
-from marl_explore.config.constants import FORBIDDEN_LOGIT, GOAL_COLUMNS, MAX_FRONTIERS
+from marl_explore.config.constants import (
+    CONTEXT_COLUMNS,
+    FORBIDDEN_LOGIT,
+    GOAL_COLUMNS,
+    MATE_COLUMNS,
+    MAX_FRONTIERS,
+)
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.planners import GoalUtility
@@ -15,7 +21,7 @@ from marl_explore.policies.actors import CHOICE
 from marl_explore.policies.argmax import ArgmaxPolicy
 from marl_explore.policies.io import load_policy, save_policy
 from marl_explore.policies.policy import Policy, PolicyConfig
-from marl_explore.transforms.goals import CONTEXT_COLUMNS, MATE_COLUMNS, Candidates
+from marl_explore.transforms.goals import Candidates
 from marl_explore.transforms.memory import GOAL
 from tests.helpers.situations import beyond_robot_0
 

@@ -51,6 +51,18 @@ def assert_same(robots, group, moment):
             assert np.array_equal(getattr(seen, name), expected), (name, moment, robot)
 
 
+def assert_same_team(robots, observation, moment, gave_up):
+    """The step, the cells of linked robots, and whether the last move was refused or given up."""
+    position, linked = (observation["agents", key][0] for key in ("position", "linked"))
+    for robot, wanderer in enumerate(robots):
+        seen = wanderer.seen[moment]
+        others = [mate for mate in linked[robot].nonzero().flatten().tolist() if mate != robot]
+        assert seen.step == int(observation["step_count"]) == moment
+        assert seen.mates == {mate: tuple(position[mate].tolist()) for mate in others}
+        refused = observation["agents", "dangerous"][0, robot] | gave_up[0, robot]
+        assert seen.refused == bool(refused), (moment, robot)
+
+
 def replayed(robots, env, observation):
     """Hold the environment against the robots, step by step.
 
@@ -58,9 +70,11 @@ def replayed(robots, env, observation):
     be had; there it stays. Returns how often that was, how often robots were refused, and merged.
     """
     given_up = refused = merged = 0
+    gave_up = torch.zeros(1, len(robots), dtype=torch.bool)
     for moment in range(STEPS):
         group = observation["agents"]
         assert_same(robots, group, moment)
+        assert_same_team(robots, observation, moment, gave_up)
         action = torch.tensor([[robot.actions[moment] for robot in robots]])
         dangerous = dangerous_moves(group["action_mask"], group["position"], action)
         after = torch.tensor([[robot.seen[moment + 1].position for robot in robots]])

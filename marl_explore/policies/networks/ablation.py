@@ -54,3 +54,9 @@ def require_abilities(network: Network, ablate: Sequence[str]) -> None:
             ablate,
             f"{network.name} actors do not read {ability}",
         )
+        require(
+            network.chooses != "goals",
+            "ablate",
+            ablate,
+            f"{network.name} actors choose among goals, and cannot do without {ability}",
+        )

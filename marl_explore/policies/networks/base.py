@@ -37,7 +37,7 @@ class Network(ABC):
     vmaps: ClassVar[bool] = True
     """Whether its critics can run under ``torch.vmap``."""
     exported_as: ClassVar[str | None] = None
-    """Its numpy version for robots (``robot.networks.TWINS``); None: it has none."""
+    """Its numpy version for robots (``robot.policy``); None: it has none."""
 
     @abstractmethod
     def make_actor(self, arena: ArenaConfig) -> nn.Module:

@@ -7,7 +7,26 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from marl_explore.config.constants import GOAL_COLUMNS, MAX_FRONTIERS
+from marl_explore.config.constants import (
+    CONTEXT_COLUMNS,
+    GOAL_COLUMNS,
+    MATE_COLUMNS,
+    MAX_FRONTIERS,
+)
+from marl_explore.config.goals import (
+    BEHIND_MOVES,
+    COMPUTED,
+    EXCHANGE_DUE,
+    EXCHANGE_EARLY,
+    HALVES,
+    LATE_MOVES,
+    MOST_UTILITY,
+    NEAR_MOVES,
+    PLACE,
+    SMALL_POCKET,
+    STILL_SIZE,
+    TEAM,
+)
 from marl_explore.planners.goal_utility import (
     NOT_CHOSEN,
     GoalWeights,
@@ -17,43 +36,28 @@ from marl_explore.planners.goal_utility import (
     place_terms,
     share,
 )
-from marl_explore.transforms.goals import CONTEXT_COLUMNS, MATE_COLUMNS, Candidates
+from marl_explore.transforms.goals import Candidates
 
-EXCHANGE_DUE, EXCHANGE_EARLY = 0.5, -0.4
-"""Prior of communicating, relative to the best goal: when it is overdue, and before."""
-FRONTIER_SIZE, PAIR_SIZE, MATE_SIZE, STILL_SIZE, CONTEXT_SIZE = 18, 8, 5, 8, 10
-"""Numbers of features of a candidate frontier, of a teammate beside it, of a teammate as a goal, of
-staying or communicating, and of the robot itself."""
-
-_ABOUT = [MATE_COLUMNS.index(name) for name in ("age", "unshared", "since")]
-_SHARED = [GOAL_COLUMNS.index(name) for name in ("moves", "from_last_goal", "pocket")]
-_PLACE = (
-    *("moves", "1 / moves", "nearest / moves", "near_gain", "middle_gain", "far_gain"),
-    *("merged_cells", "last_goal", "from_last_goal", "ahead", "pocket", "small pocket"),
-    *("isolation", "nearest of all", "move_gain", "allowed", "rivals", "utility"),
-)
-"""Features of a candidate frontier in their order."""
-_COMPUTED = (
-    *("moves", "from_last_goal", "pocket", "1 / moves"),
-    *("-moves", "-log", "near_gain", "middle_gain", "far_gain", "merged_cells", "-exp"),
-    *("isolation", "last_goal", "ahead", "move_gain", "allowed"),
-    *("nearest / moves", "small pocket", "nearest of all", "rivals", "utility"),
-)
-"""The order in which they are computed, with further terms of the utility."""
+_ABOUT = ("age", "unshared", "since")
+_SHARED = ("moves", "from_last_goal", "pocket")
+_ABOUT_COLUMNS = [MATE_COLUMNS.index(name) for name in _ABOUT]
+_SHARED_COLUMNS = [GOAL_COLUMNS.index(name) for name in _SHARED]
 _BUFFERS = {
-    "about_halves": [16.0, 64.0, 8.0],
-    "shared_halves": [8.0, 4.0, 12.0],
-    "order": [_COMPUTED.index(name) for name in _PLACE],
+    "about_halves": [HALVES[name] for name in _ABOUT],
+    "shared_halves": [HALVES[name] for name in _SHARED],
+    "order": [COMPUTED.index(name) for name in PLACE],
 }
 
 
 class GoalFeatures(NamedTuple):
-    """Features of R robots, with a row per candidate, and which rows are choices."""
+    """Features of R robots, which have V candidate frontiers together, and what are choices."""
 
+    row: Tensor
+    """Robot of each candidate frontier, int64 [V]."""
     frontier: Tensor
-    """[R, 24, FRONTIER_SIZE]."""
+    """[V, FRONTIER_SIZE]."""
     pair: Tensor
-    """[R, 24, N, PAIR_SIZE]."""
+    """Of every teammate beside every candidate frontier, [V, N, PAIR_SIZE]."""
     known_mate: Tensor
     """Teammates that were seen, bool [R, N]."""
     mate: Tensor
@@ -94,24 +98,38 @@ class FeatureScaling(nn.Module):
         """Features of about unit size, the choices, and their prior."""
         dtype = self.weights.dtype
         candidates = Candidates(*(entry.to(dtype) for entry in candidates))
-        terms = place_terms(candidates.frontiers, self.radius)
-        utility = frontier_utility(candidates, terms, self.weights)
+        moves = candidates.frontiers[..., GOAL_COLUMNS.index("moves")]
+        filled = moves > 0
+        row, slot = filled.nonzero(as_tuple=True)
+        # as if each candidate had a robot of its own: most rows of the tables are empty
+        alone = Candidates(
+            candidates.frontiers[row, slot].unsqueeze(-2),
+            candidates.rivals[row, slot].unsqueeze(-3),
+            candidates.mates[row],
+            candidates.context[row],
+        )
+        terms = place_terms(alone.frontiers, self.radius)
+        utility = frontier_utility(alone, terms, self.weights)
         visit = mate_utility(candidates, self.weights)
         due = overdue(candidates, self.weights)
         mates = dict(zip(MATE_COLUMNS, candidates.mates.unbind(-1), strict=True))
         own = dict(zip(CONTEXT_COLUMNS, candidates.context.unbind(-1), strict=True))
         linked = mates["linked"]
-        moves = candidates.frontiers[..., GOAL_COLUMNS.index("moves")]
-        filled, known = moves > 0, mates["seen"] > 0
-        length, knows = candidates.rivals.unbind(-1)
-        nearer = (length < moves.unsqueeze(-1)) & known.unsqueeze(-2)
+        known = mates["seen"] > 0
         nearest = moves.masked_fill(~filled, torch.inf).amin(-1, keepdim=True)
         # age, unshared cells and steps since the last exchange
-        about = share(candidates.mates[..., _ABOUT], self.about_halves)
-        goals, talks, stays = self._choices(utility, visit, linked, mates["since"], own, due)
+        about = share(candidates.mates[..., _ABOUT_COLUMNS], self.about_halves)
+        every = torch.full_like(moves, NOT_CHOSEN).index_put((row, slot), utility.squeeze(-1))
+        goals, talks, stays = self._choices(every, visit, linked, mates["since"], own, due)
+        length, knows = alone.rivals.unbind(-1)
+        walk = moves[row, slot].unsqueeze(-1)
+        nearer = (length < walk.unsqueeze(-1)) & known[row].unsqueeze(-2)
+        frontier = self._places(alone.frontiers, terms, nearest[row], nearer, linked[row], utility)
+        pair = self._pairs(linked[row], about[row], length, knows, walk, mates["age"][row])
         return GoalFeatures(
-            frontier=self._places(candidates.frontiers, terms, nearest, nearer, linked, utility),
-            pair=self._pairs(linked, about, length, knows, moves, mates["age"]),
+            row=row,
+            frontier=frontier.squeeze(-2),
+            pair=pair.squeeze(-3),
             known_mate=known,
             mate=self._visits(mates["moves"], about),
             still=self._stills(mates, linked, due),
@@ -135,15 +153,15 @@ class FeatureScaling(nn.Module):
         own = torch.stack(
             (
                 nearest / moves,
-                pocket <= 4,
+                pocket <= SMALL_POCKET,
                 1 - rivals[0],
-                share(rivals[1].to(moves), 3),
-                utility.clamp(-3, 3),
+                share(rivals[1].to(moves), HALVES["rivals"]),
+                utility.clamp(-MOST_UTILITY, MOST_UTILITY),
             ),
             -1,
         )
         allowed = frontiers[..., GOAL_COLUMNS.index("move_allowed"), None]
-        shares = share(frontiers[..., _SHARED].clamp_min(0), self.shared_halves)
+        shares = share(frontiers[..., _SHARED_COLUMNS].clamp_min(0), self.shared_halves)
         every = torch.cat((shares, 1 / moves.unsqueeze(-1), terms, allowed, own), -1)
         return every.index_select(-1, self.order)
 
@@ -161,17 +179,17 @@ class FeatureScaling(nn.Module):
         behind = length - moves.unsqueeze(-1)
         late = behind - age.unsqueeze(-2)
         beside = (
-            (behind / 8).clamp(-1, 1),
-            4 / (4 + length.clamp_min(0)),
+            (behind / BEHIND_MOVES).clamp(-1, 1),
+            NEAR_MOVES / (NEAR_MOVES + length.clamp_min(0)),
             knows,
-            (late / 16).clamp(-1, 1),
+            (late / LATE_MOVES).clamp(-1, 1),
         )
         return torch.cat((of_mate.expand(*length.shape, -1), torch.stack(beside, -1)), -1)
 
     @staticmethod
     def _visits(walk: Tensor, about: Tensor) -> Tensor:
         """``GoalFeatures.mate``."""
-        of_walk = torch.stack((share(walk, 8), 1 / walk.clamp_min(1)), -1)
+        of_walk = torch.stack((share(walk, HALVES["moves"]), 1 / walk.clamp_min(1)), -1)
         return torch.cat((of_walk, about), -1)
 
     @staticmethod
@@ -181,10 +199,10 @@ class FeatureScaling(nn.Module):
         one, zero = torch.ones_like(number), torch.zeros_like(number)
         talk = (
             one,
-            share((mates["since"] * linked).amax(-1), 8),
-            share((mates["unshared"] * linked).sum(-1), 64),
-            share(number, 3),
-            share(mates["square_distance"].amax(-1).sqrt(), 6),
+            share((mates["since"] * linked).amax(-1), HALVES["since"]),
+            share((mates["unshared"] * linked).sum(-1), HALVES["unshared"]),
+            share(number, HALVES["linked"]),
+            share(mates["square_distance"].amax(-1).sqrt(), HALVES["distance"]),
             due.to(number),
             mates["waited"].amax(-1),
             zero,
@@ -199,16 +217,16 @@ class FeatureScaling(nn.Module):
         """``GoalFeatures.context``."""
         number = filled.sum(-1)
         parts = (
-            share(own["step"], 64),
+            share(own["step"], HALVES["step"]),
             number / MAX_FRONTIERS,
             own["known_cells"] / own["cells"].clamp_min(1),
-            share(linked.sum(-1), 3),
-            own["robots"] / 8,
+            share(linked.sum(-1), HALVES["linked"]),
+            own["robots"] / TEAM,
             number > 0,
             own["all_covered"],
             own["refused"],
-            share(unshared, 64).sum(-1) / (own["robots"] - 1).clamp_min(1),
-            4 / (4 + nearest.squeeze(-1)),
+            share(unshared, HALVES["unshared"]).sum(-1) / (own["robots"] - 1).clamp_min(1),
+            NEAR_MOVES / (NEAR_MOVES + nearest.squeeze(-1)),
         )
         return torch.stack([part.to(linked) for part in parts], -1)
 

@@ -11,22 +11,21 @@ import torch
 from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.config.checks import require_integer
-from marl_explore.config.constants import FORBIDDEN_LOGIT, MAX_FRONTIERS
+from marl_explore.config.checks import require_integer, require_positive
+from marl_explore.config.constants import CONTEXT_COLUMNS, FORBIDDEN_LOGIT, MAX_FRONTIERS
 from marl_explore.config.fields import check_types
-from marl_explore.planners.goal_moves import still_choices
-from marl_explore.policies.networks.base import Network
-from marl_explore.policies.networks.goal_features import (
+from marl_explore.config.goals import (
     CONTEXT_SIZE,
     FRONTIER_SIZE,
     MATE_SIZE,
     PAIR_SIZE,
     STILL_SIZE,
-    FeatureScaling,
-    GoalFeatures,
 )
+from marl_explore.planners.goal_moves import still_choices
+from marl_explore.policies.networks.base import Network
+from marl_explore.policies.networks.goal_features import FeatureScaling, GoalFeatures
 from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize
-from marl_explore.transforms.goals import CONTEXT_COLUMNS, Candidates
+from marl_explore.transforms.goals import Candidates
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,9 @@ class Goals(Network):
     """Width of the encoding of a candidate and a teammate."""
     prior: float = 8.0
     """Initial weight of the linear utility (``planners.goal_utility``) in the logits."""
+    refinement: float = 4.0
+    """How far the network can move a logit relative to that of the best choice by the utility: in
+    arenas unlike those of training it cannot overrule clear cases."""
     communicate_every: int = 3
     """Robots may communicate every so many steps of a shared clock, besides when it is overdue."""
     communicate_after: int = 4
@@ -50,6 +52,7 @@ class Goals(Network):
     sees = "own map, positions of robots in range and where it saw them last, what was exchanged"
     chooses = "goals"
     vmaps = False
+    exported_as = "goals"
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -57,11 +60,12 @@ class Goals(Network):
         for option in ("code_width", "pair_width", "communicate_every"):
             require_integer(option, getattr(self, option), 1)
         require_integer("communicate_after", self.communicate_after, 0)
+        require_positive("refinement", self.refinement)
 
     @property
     def layout(self) -> Goals:
         """The network without the options that do not affect weights' shapes."""
-        return replace(self, communicate_every=1, communicate_after=0, prior=0.0)
+        return replace(self, communicate_every=1, communicate_after=0, prior=0.0, refinement=1.0)
 
     def make_actor(self, arena: ArenaConfig) -> GoalActor:
         """As ``Network.make_actor``."""
@@ -118,12 +122,13 @@ class GoalEncoder(nn.Module):
             ((choice >= low) & (choice < high)).nonzero().squeeze(-1)
             for low, high in pairwise(kinds)
         ]
-        places, mates, stills = (
-            (row[these], choice[these] - low) for these, low in zip(order, kinds, strict=False)
+        mates, stills = (
+            (row[these], choice[these] - low)
+            for these, low in zip(order[1:], kinds[1:], strict=False)
         )
         first = torch.cat(
             (
-                self._frontiers(scaled, *places),
+                self._frontiers(scaled),
                 self._of_kind(self.mate, scaled.mate, scaled.context, *mates),
                 self._of_kind(self.still, scaled.still, scaled.context, *stills),
             )
@@ -139,14 +144,12 @@ class GoalEncoder(nn.Module):
         )
         return scaled, _Codes(row, choice, each, torch.cat((total / number, most), -1))
 
-    def _frontiers(self, scaled: GoalFeatures, row: Tensor, index: Tensor) -> Tensor:
+    def _frontiers(self, scaled: GoalFeatures) -> Tensor:
         """First encodings of the choices that are frontiers."""
-        known = scaled.known_mate[row].unsqueeze(-1)
-        pair = self.pair(scaled.pair[row, index]) * known
+        known = scaled.known_mate[scaled.row].unsqueeze(-1)
+        pair = self.pair(scaled.pair) * known
         pooled = (pair.sum(-2) / known.sum(-2).clamp_min(1), pair.amax(-2))
-        return self.frontier(
-            torch.cat((scaled.frontier[row, index], *pooled, scaled.context[row]), -1)
-        )
+        return self.frontier(torch.cat((scaled.frontier, *pooled, scaled.context[scaled.row]), -1))
 
     @staticmethod
     def _of_kind(
@@ -176,6 +179,7 @@ class GoalActor(nn.Module):
         score = nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, 1))
         self.score = initialize(score, ACTOR_GAIN)
         self.prior = nn.Parameter(torch.tensor(options.prior))
+        self.refinement = options.refinement
 
     def forward(self, *candidates: Tensor) -> Tensor:
         """Logits [*B, 24 + N + 2] of candidates [*B, ...]."""
@@ -183,11 +187,13 @@ class GoalActor(nn.Module):
         rows = Candidates(*(x.reshape(-1, *x.shape[len(batch) :]) for x in candidates))
         scaled, codes = self.encoder(rows)
         read = torch.cat((codes.each, codes.pooled[codes.row]), -1)
-        prior = scaled.prior[codes.row, codes.choice]
-        each = self.score(read).squeeze(-1).float() + self.prior * prior
-        logits = torch.full_like(scaled.prior, FORBIDDEN_LOGIT).index_put(
-            (codes.row, codes.choice), each.to(scaled.prior.dtype)
+        score = torch.zeros_like(scaled.prior).index_put(
+            (codes.row, codes.choice), self.score(read).squeeze(-1).to(scaled.prior.dtype)
         )
+        allowed = scaled.prior.masked_fill(~scaled.valid, -torch.inf)
+        apart = score - score.gather(-1, allowed.argmax(-1, keepdim=True))
+        refined = self.refinement * (apart / self.refinement).tanh()
+        logits = (refined + self.prior * scaled.prior).masked_fill(~scaled.valid, FORBIDDEN_LOGIT)
         return logits.view(*batch, -1)
 
 

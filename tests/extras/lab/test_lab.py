@@ -18,6 +18,7 @@ from marl_explore.lab import LabRunner, Noise
 from marl_explore.lab.scenario import LabScenario
 from marl_explore.policies.io import save_policy
 from tests.helpers.boards import ACTIONS, arena
+from tests.helpers.goal_policies import goal_policy
 from tests.helpers.robot_world import scan_of, scripted
 from tests.policies.test_policies import a_policy
 
@@ -148,6 +149,21 @@ def test_a_picture_shows_boxes_and_robots_without_a_display(monkeypatch):
         assert blue > max(red, green)
     world.drive(torch.tensor([[[0.2, 0.0], [0.0, 0.0]]]))
     assert (world.render() != picture).any()
+
+
+def test_a_team_that_chooses_among_goals_explores_as_on_the_grid():
+    """The actor was trained for another team."""
+    config = ArenaConfig(height=9, width=9, num_agents=3, occlusion=True)
+    lab = LabRunner(goal_policy(strength=0.1), arenas(2, config), config=config)
+    summary = lab.run(25).summary()
+    assert summary["merged map at the end"] > 0.95
+    assert summary["agreement"] >= 0.98
+    assert summary["robot contacts"] == summary["obstacle contacts"] == 0
+
+
+def test_a_policy_for_another_field_of_view_is_refused():
+    with pytest.raises(ValueError, match="trained for fov_radius=2"):
+        LabRunner(goal_policy(sensing_range=2.0), arenas(1), config=ArenaConfig())
 
 
 def test_layouts_of_another_size_are_refused():

@@ -26,6 +26,7 @@ core.receive(Pose(1.0, 0, 0.25, 0.25, 0.0), 1.0)
 core.receive(Scan(1.0, np.full(360, np.inf)), 1.0)
 core.advance(1.0)
 assert core.knowledge.known == 9 and (core.knowledge.map != 1).all()
+assert core.observation.action_mask[core.action]
 print(core.observation.fpr[:, 0].sum(), core.action)
 """
 
@@ -40,13 +41,14 @@ def bare_python(tmp_path_factory):
     return python
 
 
-def test_a_robot_decides_without_torch(bare_python, tmp_path):
+@pytest.mark.parametrize("network", ["mlp", "goals"])
+def test_a_robot_decides_without_torch(bare_python, tmp_path, network):
     from marl_explore import ArenaConfig
     from marl_explore.policies.export import export_npz
-    from marl_explore.policies.networks import MLP
     from marl_explore.policies.policy import Policy, PolicyConfig
+    from tests.helpers.configs import NETWORKS
 
-    spec = PolicyConfig(ArenaConfig(num_agents=2), MLP(hidden=(16,)), "proximity")
+    spec = PolicyConfig(ArenaConfig(num_agents=2), NETWORKS[network], "proximity")
     path = export_npz(Policy(spec, spec.make_actors()), tmp_path / "policy.npz")
     done = subprocess.run(
         [bare_python, "-c", CODE, path],

@@ -1,0 +1,122 @@
+"""A robot that chooses among goals: its memory, candidates, network, choice and first move."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.config.constants import (
+    COMMUNICATE,
+    GOAL_COLUMNS,
+    MATE_COLUMNS,
+    MAX_FRONTIERS,
+    NUM_DIRECTIONS,
+    STAY,
+)
+from marl_explore.core import native
+from marl_explore.robot.candidates import CandidateFinder, Candidates
+from marl_explore.robot.goal_network import GoalNetwork
+from marl_explore.robot.networks import Array, Weights
+from marl_explore.robot.observation import Observation
+
+_MOVE = GOAL_COLUMNS.index("move")
+_MOVE_TO_MATE = MATE_COLUMNS.index("move")
+
+
+class Options(NamedTuple):
+    """What there is to choose from in a step."""
+
+    found: Candidates
+    choices: list[int]
+    """Numbers of the choices (``planners.goal_moves.follow``)."""
+    logits: Array
+    """Of the choices, float32."""
+
+
+class GoalActor:
+    """One robot's actor that chooses among goals, and its memory of the episode.
+
+    Args:
+        weights: of the network by name, float32.
+        options: of the network.
+        robot: its number.
+        radius: half side of the field of view (cells).
+
+    Raises:
+        ValueError, KeyError: as for ``GoalNetwork``.
+        RuntimeError: when the native kernel cannot be used.
+    """
+
+    def __init__(self, weights: Weights, options: dict[str, Any], robot: int, radius: int) -> None:
+        native.kernel("goals")
+        self.robot, self.radius = robot, radius
+        self.network = GoalNetwork(weights, options, radius)
+        self._episode: CandidateFinder | None = None
+
+    def blank(self) -> GoalActor:
+        """The same actor without a memory; the weights are shared."""
+        other = copy.copy(self)
+        other.reset()
+        return other
+
+    def reset(self) -> None:
+        """Forget the episode."""
+        self._episode = None
+
+    def look(self, observed: Observation) -> Options:
+        """Remember an observation, and weigh what there is to choose from."""
+        episode = self._episode
+        if episode is None or not episode.follows(observed):
+            robots = len(observed.net)
+            episode = CandidateFinder(self.robot, robots, observed.map.shape, self.radius)
+            self._episode = episode
+        found = episode.find(observed)
+        return Options(found, *self.network(found))
+
+    def go(self, found: Candidates, choice: int) -> int:
+        """The first move to a choice, whose cell is remembered as the goal.
+
+        It need not be allowed.
+        """
+        assert self._episode is not None
+        goal = self._episode.memory.goal
+        if choice < MAX_FRONTIERS:
+            goal[:] = found.frontiers[choice, :2]
+            return int(found.frontiers[choice, _MOVE])
+        mate = choice - MAX_FRONTIERS
+        if mate < len(found.mates):
+            goal[:] = -1
+            return int(found.mates[mate, _MOVE_TO_MATE])
+        return COMMUNICATE if mate == len(found.mates) else STAY
+
+    def act(self, observed: Observation, chance: np.random.Generator, sample: bool) -> int:
+        """An action: the first move to a choice, unless the robot yields.
+
+        Args:
+            observed: the robot's observation.
+            chance: of samples, and of the way in which it yields.
+            sample: whether the choice is sampled; False: the most likely one.
+        """
+        found, choices, logits = self.look(observed)
+        best = (logits + chance.gumbel(size=logits.shape) if sample else logits).argmax()
+        wanted = self.go(found, choices[int(best)])
+        return give_way(wanted, observed.action_mask, observed.refused, chance)
+
+
+def give_way(
+    wanted: int, mask: NDArray[np.bool_], refused: bool, chance: np.random.Generator
+) -> int:
+    """``core.motion.give_way`` of one robot: the wanted action, or a random one if it is blocked.
+
+    Args:
+        wanted: an action.
+        mask: allowed actions [10].
+        refused: whether the last move was refused.
+        chance: of the random choice among the open moves and staying.
+    """
+    if wanted >= NUM_DIRECTIONS or (mask[wanted] and not refused):
+        return wanted
+    return int(chance.choice(mask[: STAY + 1].nonzero()[0]))
