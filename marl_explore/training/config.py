@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from marl_explore.config.arena import ArenaConfig
+from marl_explore.arenas import fit
+from marl_explore.config.arena import ANY_SIZE, ArenaConfig
 from marl_explore.config.checks import (
     require,
     require_coverage,
@@ -45,9 +46,10 @@ class TrainConfig(NetworkSettings):
     """What actors do without: parts of the observation (read as 0), or communication."""
     critic_input: CriticInput = "observation"
     """Input of the critic: the joint observation (as in the paper) or the true state."""
-    team_sizes: tuple[int, ...] = ()
-    """Numbers of robots that train side by side, each in an equal share of the arenas; empty: only
-    that of the arena. The actors must be shared and choose among goals."""
+    scenes: tuple[str, ...] = ()
+    """Kinds of arenas, each with a number of robots, that train side by side in equal shares, such
+    as uniform/3 open-24/6; empty: ``arenas`` alone. The actors must be shared and choose among
+    goals; ``arena`` and ``arenas`` are then for validation."""
     episodes: int = 5000
     """Length of training, n_e (episodes of episode_steps steps)."""
     episode_steps: int = 200
@@ -94,7 +96,7 @@ class TrainConfig(NetworkSettings):
         check_types(self)
         self._require_ranges()
         self._require_networks()
-        self._require_teams()
+        self._require_scenes()
         self._require_batch()
 
     def _require_ranges(self) -> None:
@@ -129,41 +131,49 @@ class TrainConfig(NetworkSettings):
             "ippo's critics must read their own robot's observation",
         )
 
-    def _require_teams(self) -> None:
-        """Check that the teams can share an actor, and that their arenas can be shared out."""
-        sizes = self.team_sizes
-        require(len(set(sizes)) == len(sizes), "team_sizes", sizes, "each may appear only once")
-        for size in sizes:
-            require_integer("team_sizes", size, 1)
+    def _require_scenes(self) -> None:
+        """Check that the scenes can share an actor, and that the arenas can be shared out."""
+        scenes = self.scenes
+        require(len(set(scenes)) == len(scenes), "scenes", scenes, "each may appear only once")
         require(
-            not sizes or (self.algorithm == "mappo" and self.network.chooses == "goals"),
-            "team_sizes",
-            sizes,
+            not scenes or (self.algorithm == "mappo" and self.network.chooses == "goals"),
+            "scenes",
+            scenes,
             "it needs algorithm='mappo' and a network that chooses among goals",
         )
         require(
-            not sizes or self.num_envs % len(sizes) == 0,
+            not scenes or self.num_envs % len(scenes) == 0,
             "num_envs",
             self.num_envs,
-            f"the {len(sizes)} team sizes need equal shares of the arenas",
+            f"the {len(scenes)} scenes need equal shares of the arenas",
         )
+        self.scene_configs  # noqa: B018 - raises for a scene that cannot be
 
     @property
-    def teams(self) -> list[TrainConfig]:
-        """The run as that of each team size with its share of the arenas."""
-        if not self.team_sizes:
-            return [self]
-        share = self.num_envs // len(self.team_sizes)
-        return [
-            replace(
-                self,
-                arena=replace(self.arena, num_agents=size),
-                num_envs=share,
-                num_minibatches=1,
-                team_sizes=(),
-            )
-            for size in self.team_sizes
-        ]
+    def scene_configs(self) -> dict[str, TrainConfig]:
+        """The run as that of each scene, by name, with its share of the arenas."""
+        if not self.scenes:
+            return {self.arenas: self}
+        share = self.num_envs // len(self.scenes)
+        return {scene: self._in_scene(scene, share) for scene in self.scenes}
+
+    def _in_scene(self, scene: str, num_envs: int) -> TrainConfig:
+        arenas, _, robots = scene.rpartition("/")
+        require(
+            arenas != "" and robots.isdecimal() and int(robots) > 0,
+            "scenes",
+            scene,
+            "it must be a kind of arenas and a number of robots, such as uniform/4",
+        )
+        arena = replace(self.arena, num_agents=int(robots))
+        return replace(
+            self,
+            arena=arena if arenas in ANY_SIZE else fit(arena, arenas),
+            arenas=arenas,
+            num_envs=num_envs,
+            num_minibatches=1,
+            scenes=(),
+        )
 
     def _require_batch(self) -> None:
         """Check that a batch can be normalised and split, and that the run has at least one."""

@@ -28,8 +28,8 @@ def require_training_memory(config: TrainConfig) -> None:
     weights = COPIES * (policy_config(config).weights_memory + critics)
     require_memory(f"the weights of network={config.network!r}", weights)
     batch = sum(
-        2 * team.batch_frames * make_training_env(team, num_envs=1).reset().bytes()
-        for team in config.teams  # twice: each step has the next observation too
+        2 * scene.batch_frames * make_training_env(scene, num_envs=1).reset().bytes()
+        for scene in config.scene_configs.values()  # twice: each step has the next observation too
     )
     require_memory(
         f"a batch of num_envs={config.num_envs} x rollout_steps={config.rollout_steps}",

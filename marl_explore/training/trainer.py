@@ -23,7 +23,7 @@ from marl_explore.training.memory import policy_config, require_training_memory
 from marl_explore.training.nan_guard import require_finite_batch
 from marl_explore.training.restarts import RestartingCollector
 from marl_explore.training.rollout_metrics import rollout_metrics
-from marl_explore.training.teams import TeamRollouts, join_teams
+from marl_explore.training.scenes import SceneRollouts, join_scenes
 
 
 class Trainer:
@@ -44,7 +44,8 @@ class Trainer:
         self, config: TrainConfig, run: RunConfig | None = None, fresh: bool = True
     ) -> None:
         run = run or RunConfig()
-        require_collector(run, config.teams[0].num_envs)
+        scenes = config.scene_configs
+        require_collector(run, min(scene.num_envs for scene in scenes.values()))
         require_training_memory(config)
         torch.manual_seed(config.seed)
         self.config = config
@@ -60,12 +61,10 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(config.seed)
         self.factor_watch = FactorWatch()
         self.updates, self.seconds = 0, 0.0
-        self.rollouts = TeamRollouts(
-            {team.arena.num_agents: self._collector(team, run) for team in config.teams}
-        )
+        self.rollouts = SceneRollouts([self._collector(scene, run) for scene in scenes.values()])
 
     def _collector(self, config: TrainConfig, run: RunConfig) -> RestartingCollector:
-        """The collector of the rollouts of teams of one size."""
+        """The collector of one scene's rollouts."""
         make = partial(
             make_collector,
             partial(make_training_env, config),
@@ -96,7 +95,7 @@ class Trainer:
             while self.updates < self.config.updates:
                 rollouts = self.collect()
                 metrics = mean_of([rollout_metrics(rollout) for rollout in rollouts])
-                metrics |= self.update(join_teams(rollouts))
+                metrics |= self.update(join_scenes(rollouts))
                 self.updates += 1
                 self.seconds = time.perf_counter() - start
                 yield {
@@ -109,7 +108,7 @@ class Trainer:
             self.rollouts.close()
 
     def collect(self) -> list[TensorDictBase]:
-        """The next rollout [B, T] of each team size."""
+        """The next rollout [B, T] of each scene."""
         rollouts = self.rollouts.next()
         for rollout in rollouts:
             require_finite_batch(rollout, self.updates + 1)

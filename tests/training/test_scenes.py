@@ -1,4 +1,4 @@
-"""Teams of several sizes in one run: padding changes nothing, and runs resume exactly."""
+"""Several kinds of arenas and teams in one run: padding changes nothing; runs resume exactly."""
 
 from __future__ import annotations
 
@@ -9,27 +9,32 @@ import torch
 from torch.testing import assert_close
 
 from marl_explore.policies.actors import CHOICE, CHOICE_LOG_PROB
-from marl_explore.training.teams import join_teams
+from marl_explore.training.scenes import join_scenes
 from marl_explore.training.trainer import Trainer
 from tests.helpers.configs import NETWORKS, tiny
 
-TEAMS = tiny(algorithm="mappo", network=NETWORKS["goals"], team_sizes=(1, 2, 4), num_envs=6)
+SCENES = tiny(
+    algorithm="mappo",
+    network=NETWORKS["goals"],
+    scenes=("uniform/1", "corridor-24/2", "uniform/4"),
+    num_envs=6,
+)
 
 
-def test_each_team_size_has_its_share_of_the_arenas():
-    rollouts = Trainer(TEAMS).collect()
+def test_each_scene_has_its_share_of_the_arenas():
+    rollouts = Trainer(SCENES).collect()
     assert [rollout[CHOICE].shape for rollout in rollouts] == [(2, 10, 1), (2, 10, 2), (2, 10, 4)]
-    batch = join_teams(rollouts)
+    batch = join_scenes(rollouts)
     assert batch[CHOICE].shape == (6, 10, 4)
     assert batch[CHOICE_LOG_PROB][:2, :, 1:].eq(0).all()
 
 
 def test_padding_changes_no_log_probability_entropy_or_value():
-    trainer = Trainer(TEAMS)
+    trainer = Trainer(SCENES)
     rollouts = trainer.collect()
     (learner,) = trainer.learners.values()
     actor = learner.loss.actor_losses["team"].actor_network
-    batch = join_teams(rollouts)
+    batch = join_scenes(rollouts)
     with torch.no_grad():
         joined = actor.get_dist(batch)
         values = learner.critic(batch.clone())["state_value"]
@@ -49,9 +54,9 @@ def test_padding_changes_no_log_probability_entropy_or_value():
 
 def test_padding_adds_no_gradient():
     """The loss of a padded rollout is that of the rollout, but for the mean over more robots."""
-    trainer = Trainer(replace(TEAMS, team_sizes=(2, 4)))
+    trainer = Trainer(replace(SCENES, scenes=("uniform/2", "uniform/4")))
     two, four = trainer.collect()
-    padded = join_teams([two, four[:0]])
+    padded = join_scenes([two, four[:0]])
     assert padded[CHOICE].shape == (3, 10, 4)
     (learner,) = trainer.learners.values()
     advantage = torch.randn(3, 10, 1)
@@ -66,15 +71,15 @@ def test_padding_adds_no_gradient():
         assert_close(2 * with_padding, alone)
 
 
-def test_a_run_of_teams_resumes_to_the_last_bit():
-    whole = Trainer(TEAMS)
+def test_a_run_of_scenes_resumes_to_the_last_bit():
+    whole = Trainer(SCENES)
     expected = [m for _, m in zip(range(4), whole.run(), strict=False)]
-    first = Trainer(TEAMS)
+    first = Trainer(SCENES)
     for number, _ in enumerate(first.run()):
         if number == 1:
             state = first.state_dict()
             break
-    second = Trainer(TEAMS, fresh=False)
+    second = Trainer(SCENES, fresh=False)
     second.load_state_dict(state)
     times = ("seconds", "rate")
     for one, other in zip(expected[2:], second.run(), strict=False):
@@ -86,13 +91,16 @@ def test_a_run_of_teams_resumes_to_the_last_bit():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"team_sizes": (2, 2)}, r"team_sizes=\(2, 2\) .* once"),
-        ({"team_sizes": (0, 2)}, "team_sizes=0"),
-        ({"team_sizes": (2, 3, 4, 5)}, "num_envs=6 .* the 4 team sizes need equal shares"),
-        ({"algorithm": "happo"}, "team_sizes=.* it needs algorithm='mappo'"),
-        ({"network": NETWORKS["mlp"]}, "team_sizes=.* a network that chooses among goals"),
+        ({"scenes": ("uniform/2", "uniform/2")}, r"scenes=.* once"),
+        ({"scenes": ("uniform/0", "uniform/2")}, "scenes='uniform/0' .* such as uniform/4"),
+        ({"scenes": ("uniform", "uniform/2")}, "scenes='uniform' .* such as uniform/4"),
+        ({"scenes": ("uniform/two", "uniform/2")}, "scenes='uniform/two'"),
+        ({"scenes": ("attic-12/2", "uniform/2")}, "attic-12"),
+        ({"scenes": ("uniform/2", *(f"uniform/{n}" for n in (3, 4, 5)))}, "num_envs=6 .* 4 scenes"),
+        ({"algorithm": "happo"}, "scenes=.* it needs algorithm='mappo'"),
+        ({"network": NETWORKS["mlp"]}, "scenes=.* a network that chooses among goals"),
     ],
 )
-def test_teams_that_cannot_train_together_are_refused(settings, message):
+def test_scenes_that_cannot_train_together_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
-        replace(TEAMS, **settings)
+        replace(SCENES, **settings)

@@ -1,8 +1,8 @@
-"""Rollouts of teams of several sizes, as one batch for a policy that works for any team."""
+"""Rollouts of several kinds of arenas and sizes of teams, as one batch for one policy."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -18,39 +18,39 @@ _TEAM_DIMS = {"frontiers": (-3,), "rivals": (-4, -2), "mates": (-3, -2), "contex
 _OF_STEP = ("reward", "done", "terminated", "truncated")
 
 
-class TeamRollouts:
-    """A collector per team size; a batch is a list with a rollout [B, T] of each.
+class SceneRollouts:
+    """A collector per scene; a batch is a list with a rollout [B, T] of each.
 
     Args:
-        collectors: by team size.
+        collectors: in the order of the scenes.
     """
 
-    def __init__(self, collectors: Mapping[int, RestartingCollector]) -> None:
-        self.collectors = dict(collectors)
+    def __init__(self, collectors: Sequence[RestartingCollector]) -> None:
+        self.collectors = [*collectors]
 
     def next(self) -> list[TensorDictBase]:
         """The next rollouts."""
-        for collector in self.collectors.values():
+        for collector in self.collectors:
             collector.prepare()
-        return [collector.next() for collector in self.collectors.values()]
+        return [collector.next() for collector in self.collectors]
 
     def state(self) -> list[Any]:
-        """What the next rollouts depend on, for every worker of every team size."""
-        return [state for collector in self.collectors.values() for state in collector.state()]
+        """What the next rollouts depend on, for every worker of every scene."""
+        return [state for collector in self.collectors for state in collector.state()]
 
     def load(self, states: Sequence[Any], done: int) -> None:
         """Resume from a ``state``; see ``RestartingCollector.load``."""
         share = len(states) // len(self.collectors)
-        for number, collector in enumerate(self.collectors.values()):
+        for number, collector in enumerate(self.collectors):
             collector.load([*states[number * share : (number + 1) * share]], done)
 
     def close(self) -> None:
         """Stop all workers."""
-        for collector in self.collectors.values():
+        for collector in self.collectors:
             collector.close()
 
 
-def join_teams(rollouts: Sequence[TensorDictBase]) -> TensorDictBase:
+def join_scenes(rollouts: Sequence[TensorDictBase]) -> TensorDictBase:
     """One batch from rollouts [B, T] of teams that choose among goals, padded to the largest team.
 
     A robot that is padding has no candidates, so it stays with probability 1: it changes no ratio,
