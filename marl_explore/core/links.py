@@ -13,9 +13,7 @@ from torch import Tensor
 
 from marl_explore.config.arena import TOLERANCE, ArenaConfig
 from marl_explore.core.grid import other_robots
-
-_FARTHEST = 2.0**50
-"""Larger than any squared distance of two cells; stands for an infinite range."""
+from marl_explore.core.radio import FARTHEST
 
 
 def links(config: ArenaConfig, position: Tensor, obstacles: Tensor) -> Tensor:
@@ -45,7 +43,7 @@ def within_range(position: Tensor, range_cells: float) -> Tensor:
     cells = position.double()
     distance = torch.cdist(cells, cells, compute_mode="donot_use_mm_for_euclid_dist")
     # squared distances are integers, so a limit halfway between two is safe from rounding
-    limit = math.floor(min((range_cells + TOLERANCE) ** 2, _FARTHEST))
+    limit = math.floor(min((range_cells + TOLERANCE) ** 2, FARTHEST))
     return distance < math.sqrt(limit + 0.5)
 
 

@@ -150,12 +150,12 @@ class TrainConfig(NetworkSettings):
         self.scene_configs  # noqa: B018 - raises for a scene that cannot be
 
     @property
-    def scene_configs(self) -> dict[str, TrainConfig]:
-        """The run as that of each scene, by name, with its share of the arenas."""
+    def scene_configs(self) -> list[TrainConfig]:
+        """The run as that of each scene with its share of the arenas."""
         if not self.scenes:
-            return {self.arenas: self}
+            return [self]
         share = self.num_envs // len(self.scenes)
-        return {scene: self._in_scene(scene, share) for scene in self.scenes}
+        return [self._in_scene(scene, share) for scene in self.scenes]
 
     def _in_scene(self, scene: str, num_envs: int) -> TrainConfig:
         arenas, _, robots = scene.rpartition("/")

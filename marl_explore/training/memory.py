@@ -29,7 +29,7 @@ def require_training_memory(config: TrainConfig) -> None:
     require_memory(f"the weights of network={config.network!r}", weights)
     batch = sum(
         2 * scene.batch_frames * make_training_env(scene, num_envs=1).reset().bytes()
-        for scene in config.scene_configs.values()  # twice: each step has the next observation too
+        for scene in config.scene_configs  # twice: each step has the next observation too
     )
     require_memory(
         f"a batch of num_envs={config.num_envs} x rollout_steps={config.rollout_steps}",

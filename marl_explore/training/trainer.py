@@ -45,7 +45,7 @@ class Trainer:
     ) -> None:
         run = run or RunConfig()
         scenes = config.scene_configs
-        require_collector(run, min(scene.num_envs for scene in scenes.values()))
+        require_collector(run, scenes[0].num_envs)
         require_training_memory(config)
         torch.manual_seed(config.seed)
         self.config = config
@@ -61,7 +61,7 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(config.seed)
         self.factor_watch = FactorWatch()
         self.updates, self.seconds = 0, 0.0
-        self.rollouts = SceneRollouts([self._collector(scene, run) for scene in scenes.values()])
+        self.rollouts = SceneRollouts([self._collector(scene, run) for scene in scenes])
 
     def _collector(self, config: TrainConfig, run: RunConfig) -> RestartingCollector:
         """The collector of one scene's rollouts."""
