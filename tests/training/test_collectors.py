@@ -119,7 +119,7 @@ def collect_checked(run, collect):
 
 
 def kill_worker(run):
-    (rollouts,) = run.rollouts.collectors.values()
+    (rollouts,) = run.rollouts.collectors
     os.kill(rollouts._collector.procs[1].pid, signal.SIGKILL)
 
 

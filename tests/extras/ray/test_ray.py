@@ -55,7 +55,7 @@ def test_the_run_is_that_of_worker_processes(undisturbed):
 
 def test_a_worker_that_is_killed_is_replaced_and_nothing_changes(undisturbed, caplog):
     def kill_worker(run):
-        (rollouts,) = run.rollouts.collectors.values()
+        (rollouts,) = run.rollouts.collectors
         ray.kill(rollouts._collector.remote_collectors[1])
 
     run = Trainer(CONFIG, RAY)
