@@ -1,7 +1,7 @@
 # make demo   learn, compare, draw: a few minutes       make speed     speed measurements
 # make test   the core test suite                       make test-all  also tests/extras, nothing skipped
 # make lint   format, lint, types, import contracts
-# make leaderboard   all planners on all suites
+# make leaderboard   all planners on all suites for any robots
 
 PYTHON ?= python3
 VENV := .venv
@@ -53,6 +53,7 @@ speed: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.environment
 	$(BIN)/python -m benchmarks.training
 	$(BIN)/python -m benchmarks.curves
+	$(BIN)/python -m benchmarks.worlds
 	$(BIN)/python -m benchmarks.memory
 
 leaderboard: $(VENV)/installed
@@ -62,7 +63,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # torch first and by its exact version, so that no later step chooses another build
-$(VENV)/installed: pyproject.toml constraints.txt marl_explore/core/native/frontier.c | $(BIN)/python
+$(VENV)/installed: pyproject.toml constraints.txt $(wildcard marl_explore/core/native/*.[ch]) | $(BIN)/python
 	$(BIN)/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
 	$(BIN)/python -m pip install -q -c constraints.txt -e .
 	touch $@

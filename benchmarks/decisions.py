@@ -45,7 +45,7 @@ def half_explored(side: int) -> TensorDictBase:
     config = ArenaConfig(height=side, width=side)
     arenas = "uniform" if side < 32 else Caves(config)
     env = ExplorationEnv(config, arenas=arenas, terminate_at_coverage=EXPLORED, max_steps=10_000)
-    *_, last = play(GoalUtility(config.fov_radius), env, env.max_steps, until_done=True)
+    *_, last = play(GoalUtility(config.sight), env, env.max_steps, until_done=True)
     return last
 
 
@@ -55,9 +55,10 @@ def measure(policy: Policy, sides: tuple[int, ...] = SIDES, repeats: int = 20) -
     for side in sides:
         now = half_explored(side)
         alone = _robot(policy, now)
-        memory = RememberTeam(policy.config.arena.fov_radius)
+        sight = policy.config.arena.sight
+        memory = RememberTeam(sight=sight)
         known = memory(now.clone())
-        found = find_candidates(known)
+        found = find_candidates(known, sight)
         actor = policy.actor_of(0)
         rows = Candidates(*(entry.squeeze(0).float() for entry in found))
         with torch.no_grad():
@@ -65,7 +66,7 @@ def measure(policy: Policy, sides: tuple[int, ...] = SIDES, repeats: int = 20) -
                 {
                     "decision": lambda now=now: policy(now.clone(recurse=False)),
                     "memory": lambda now=now, memory=memory: memory(now.clone(recurse=False)),
-                    "candidates": lambda known=known: find_candidates(known),
+                    "candidates": lambda known=known, sight=sight: find_candidates(known, sight),
                     "network": lambda rows=rows, actor=actor: actor(*rows),
                     **alone,
                 },

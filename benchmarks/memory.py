@@ -12,6 +12,7 @@ import sys
 CASES = {
     "4096 arenas x 4 robots x 12 x 12": (4096, 4, 12),
     "64 arenas x 8 robots x 128 x 128": (64, 8, 128),
+    "1 arena x 100 robots x 200 x 200": (1, 100, 200),
 }
 
 

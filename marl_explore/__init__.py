@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from marl_explore.arenas import Rooms as Rooms
     from marl_explore.arenas import Suite as Suite
     from marl_explore.arenas import Uniform as Uniform
+    from marl_explore.arenas import UniformV2 as UniformV2
     from marl_explore.arenas import default_config as default_config
     from marl_explore.arenas import default_steps as default_steps
     from marl_explore.arenas import list_suites as list_suites
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from marl_explore.config.checks import require_share as require_share
     from marl_explore.config.run import RunConfig as RunConfig
     from marl_explore.config.run import parse_seeds as parse_seeds
+    from marl_explore.config.shapes import SHAPES as SHAPES
+    from marl_explore.config.shapes import Sight as Sight
+    from marl_explore.core.links import RADIOS as RADIOS
     from marl_explore.core.native import backend as backend
     from marl_explore.core.rewards import StepRecord as StepRecord
     from marl_explore.envs.exploration import ExplorationEnv as ExplorationEnv
@@ -127,6 +131,7 @@ _EXPORTS = {
         "Rooms",
         "Suite",
         "Uniform",
+        "UniformV2",
         "default_config",
         "default_steps",
         "list_suites",
@@ -138,6 +143,8 @@ _EXPORTS = {
     "config.arena": ("ArenaConfig",),
     "config.checks": ("require_integer", "require_positive", "require_share"),
     "config.run": ("RunConfig", "parse_seeds"),
+    "config.shapes": ("SHAPES", "Sight"),
+    "core.links": ("RADIOS",),
     "core.native": ("backend",),
     "core.rewards": ("StepRecord",),
     "envs.exploration": ("ExplorationEnv",),

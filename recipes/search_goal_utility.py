@@ -140,7 +140,7 @@ def play(weights: Tensor, suite: str, robots: int, first: int, arenas: int) -> T
     env = ExplorationEnv(config, num_envs=batch, max_steps=steps, terminate_at_coverage=1.0)
     observed = env.reset(start, set_state=True)
     each = weights.repeat_interleave(arenas, 0).unsqueeze(1)  # of all robots of an arena
-    planner = GoalUtility(config.fov_radius, each)
+    planner = GoalUtility(config.sight, each)
     needed = torch.full((batch,), steps + 1)
     for step in range(1, steps + 1):
         observed = step_mdp(env.step(planner(observed)))

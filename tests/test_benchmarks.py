@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
-from benchmarks import curves, environment, frontier, locks, scaling, training
+from benchmarks import curves, environment, frontier, locks, planners, scaling, training, worlds
 from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.faults import lines, mutants
 from marl_explore.core.frontier import feature_table
@@ -47,6 +49,19 @@ def test_the_cost_curves_are_measured_and_drawn(tmp_path):
     curves.draw(measured, tmp_path / "cost.png")
     assert (tmp_path / "cost.png").stat().st_size > 5000
     assert all(cost > 0 for cost in measured["robots"]["torch"].values())
+
+
+def test_the_benchmark_of_planners_runs():
+    milliseconds = planners.measure("16 robots, 12 x 12", repeats=1)
+    assert {"nearest", "hungarian", "rendezvous", "central"} <= set(milliseconds)
+    assert all(value > 0 for value in milliseconds.values())
+
+
+def test_the_benchmark_of_wider_worlds_runs():
+    seconds = worlds.lidar_and_plain(num_envs=4, repeats=1)
+    assert all(value > 0 for value in seconds.values())
+    points = {n: (2, replace(worlds.LIDAR, num_agents=n)) for n in (2, 3)}
+    assert set(worlds.curve(points, repeats=1)) == {2, 3}
 
 
 def test_the_training_benchmark_runs():

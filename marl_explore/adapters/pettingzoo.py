@@ -11,12 +11,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 
 from marl_explore.adapters.window import Window
 from marl_explore.arenas import Generator
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
-from marl_explore.core.grid import NUM_ACTIONS
+from marl_explore.core.grid import NUM_ACTIONS, STAY
 from marl_explore.core.rewards import Reward
 from marl_explore.envs.factory import make_env
 from marl_explore.envs.given import as_integer, checked_seed
@@ -79,7 +80,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
     It is the first arena of ``make_env`` with the same arguments: the same seed and actions give
     the same episode. A robot observes a dictionary of "observation", float32 [(2k+1)^2 + 24 + N]
     (FOV, FPR and NET concatenated), and "action_mask", int8 [10], which is also in the info. All
-    robots get the team's reward, the mean of their own, unless ``shared_reward`` is False.
+    robots get the team's reward, the mean of their own, unless ``shared_reward`` is False. A robot
+    that fails is terminated in that step and leaves ``agents``.
 
     ``reset()`` continues with the next episode's arena, ``reset(seed)`` restarts at the first one
     of that seed, and ``reset(options={"obstacles": ..., "positions": ...})`` uses the given arena,
@@ -118,7 +120,9 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         self.observation_spaces = {agent: self._observed_space() for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(NUM_ACTIONS) for agent in self.possible_agents}
         cells = self._config.num_cells
-        self.state_space = spaces.Box(-1, 1, ((1 + robots) * cells + 2 * robots,), np.float32)
+        size = (1 + robots) * cells + 2 * (robots + self._config.num_walkers)
+        size += robots * (self._config.failure_rate > 0)
+        self.state_space = spaces.Box(-1, 1, (size,), np.float32)
 
     def _observed_space(self) -> spaces.Dict:
         specs = (self._env.observation_spec[key] for key in OBSERVATION_KEYS)
@@ -172,8 +176,8 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         """All robots act at once.
 
         Args:
-            actions: of every robot; docs/environment.md defines the effect of actions that the
-                mask forbids.
+            actions: of every robot in ``agents``; docs/environment.md defines the effect of
+                actions that the mask forbids.
 
         Raises:
             ValueError: when a robot's action is missing or not one of the ten, or for an unknown
@@ -187,29 +191,37 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
                 f"actions of {sorted(strangers, key=str)} are not allowed: the robots are "
                 f"{self.agents}"
             )
-        chosen = [_checked(agent, actions.get(agent)) for agent in self.agents]
+        chosen = {agent: _checked(agent, actions.get(agent)) for agent in self.agents}
         before = self._current.select("obstacles", "step_count", "agents", strict=False)
-        before["agents", "action"] = torch.tensor([chosen])
+        every = [chosen.get(agent, STAY) for agent in self.possible_agents]
+        before["agents", "action"] = torch.tensor([every])
         self._now = self._env.step(before)["next"]
         self._show()
         outcome = [self._now[key].item() for key in ("terminated", "truncated")]
         terminated, truncated = (dict.fromkeys(self.agents, value) for value in outcome)
+        alive = self._of_robots("alive").tolist()
+        terminated |= {agent: True for agent in self.agents if not alive[self._number(agent)]}
         rewards = self._rewards()
         observations, infos = self._observations(), self._infos()
-        if self._now["done"].item():
-            self.agents = []
+        going_on = [] if self._now["done"].item() else self.agents
+        self.agents = [agent for agent in going_on if not terminated[agent]]
         return observations, rewards, terminated, truncated, infos
 
     def state(self) -> NDArray[np.float32]:
-        """The true state, for a centralised critic, float32 [(1 + N) H W + 2 N].
+        """The true state, for a centralised critic, float32 [(1 + N) H W + 2 N], or longer.
 
         Obstacles (1, else 0), every robot's map (-1 unknown, 0 free, 1 occupied), and positions as
-        shares of the arena's sides.
+        shares of the arena's sides; then the positions of walkers, if there are any, and who is
+        alive (1, else 0), if robots can fail.
         """
         now = self._current
         height, width = self._config.height, self._config.width
-        position = now["agents", "position"] / torch.tensor([height, width])
-        parts = (now["obstacles"], now["agents", "map"], position)
+        size = torch.tensor([height, width])
+        parts = [now["obstacles"], now["agents", "map"], now["agents", "position"] / size]
+        if self._config.num_walkers:
+            parts.append(now["walkers"] / size)
+        if self._config.failure_rate > 0:
+            parts.append(now["agents", "alive"])
         return torch.cat([part.flatten().float() for part in parts]).numpy()
 
     def render(self) -> NDArray[np.uint8] | str | None:
@@ -223,8 +235,7 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
 
     def _show(self) -> None:
         if self.render_mode == "human":
-            agents = self._current["agents"]
-            self._window.show(agents["map"][0], agents["position"][0])
+            self._window.show(self._env.base_env.team())
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -259,24 +270,29 @@ class ParallelExploration(ParallelEnv[str, Observation, int]):
         numbers = concat_observation(*(self._current[key][0] for key in OBSERVATION_KEYS)).numpy()
         masks = self._masks()
         return {
-            agent: {"observation": numbers[i], "action_mask": masks[i]}
-            for i, agent in enumerate(self.agents)
+            agent: {"observation": numbers[self._number(agent)], "action_mask": mask}
+            for agent, mask in masks.items()
         }
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        return {
-            agent: {"action_mask": mask}
-            for agent, mask in zip(self.agents, self._masks(), strict=True)
-        }
+        return {agent: {"action_mask": mask} for agent, mask in self._masks().items()}
 
     def _rewards(self) -> dict[str, float]:
         if self.shared_reward:
             return dict.fromkeys(self.agents, self._current["reward"].item())
-        own = self._current["agents", "individual_reward"][0, :, 0]
-        return dict(zip(self.agents, own.tolist(), strict=True))
+        own = self._of_robots("individual_reward").flatten().tolist()
+        return {agent: own[self._number(agent)] for agent in self.agents}
 
-    def _masks(self) -> NDArray[np.int8]:
-        return self._current["agents", "action_mask"][0].to(torch.int8).numpy()
+    def _masks(self) -> dict[str, NDArray[np.int8]]:
+        masks = self._of_robots("action_mask").to(torch.int8).numpy()
+        return {agent: masks[self._number(agent)] for agent in self.agents}
+
+    def _of_robots(self, key: str) -> Tensor:
+        """An entry of all robots [N, ...]."""
+        return self._current["agents", key][0]
+
+    def _number(self, agent: str) -> int:
+        return self.possible_agents.index(agent)
 
 
 def _checked(agent: str, action: Any) -> int:

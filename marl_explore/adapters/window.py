@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from torch import Tensor
-
-from marl_explore.envs.pictures import ascii_picture, rgb_picture
+from marl_explore.envs.pictures import Team, ascii_picture, rgb_picture
 
 
 class Window:
@@ -24,17 +22,17 @@ class Window:
         self._figure: Any = None
         self._image: Any = None
 
-    def show(self, maps: Tensor, position: Tensor) -> None:
-        """Show the union of maps int8 [N, H, W] and robots at int64 [N, 2]."""
+    def show(self, team: Team) -> None:
+        """Show the union of a team's maps, its robots and the people around it."""
         if not self._opened:
-            self._open(rgb_picture(maps, position))
+            self._open(rgb_picture(team))
         if self._figure is None:
-            print(ascii_picture(maps, position), end="\n\n", flush=True)
+            print(ascii_picture(team), end="\n\n", flush=True)
             return
         import matplotlib.pyplot as plt
 
         if plt.fignum_exists(self._figure.number):  # else somebody has closed it
-            self._image.set_data(rgb_picture(maps, position))
+            self._image.set_data(rgb_picture(team))
             self._figure.canvas.draw_idle()
             plt.pause(1 / self.fps)
 

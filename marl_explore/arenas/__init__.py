@@ -22,6 +22,7 @@ from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.sources import MAP_STEPS, MapSource, is_source, map_suite
 from marl_explore.arenas.suites import Suite, list_suites, suite
 from marl_explore.arenas.uniform import Uniform
+from marl_explore.arenas.uniform_v2 import UniformV2
 from marl_explore.config.arena import ANY_SIZE, ArenaConfig
 from marl_explore.core.world import check_starts
 
@@ -37,6 +38,7 @@ __all__ = [
     "Rooms",
     "Suite",
     "Uniform",
+    "UniformV2",
     "default_config",
     "default_number",
     "default_steps",
@@ -92,7 +94,7 @@ def resolve(arenas: str | Generator, config: ArenaConfig) -> Generator:
         return Checked(arenas, config)
     if is_source(arenas):
         return MapSource.parse(arenas).arenas(config)
-    kinds = {"uniform": Uniform, "mixed": Mixed}
+    kinds = {"uniform": Uniform, "uniform-v2": UniformV2, "mixed": Mixed}
     return kinds[arenas](config) if arenas in kinds else suite(arenas).generator(config)
 
 
@@ -117,10 +119,13 @@ def default_steps(arenas: str | Generator) -> int:
 
 
 def default_number(arenas: str | Generator) -> int:
-    """Arenas of an evaluation: every map of a folder once, or 200."""
+    """Arenas of an evaluation: every map of a folder once, a suite's own number, or 200."""
     if isinstance(arenas, MapArenas):
         return len(arenas.maps)
-    return len(MapSource.parse(str(arenas)).paths) if is_source(arenas) else 200
+    if is_source(arenas):
+        return len(MapSource.parse(str(arenas)).paths)
+    own = None if callable(arenas) or arenas in ANY_SIZE else suite(arenas).num_arenas
+    return own or 200
 
 
 def full_name(arenas: str) -> str:
@@ -134,6 +139,8 @@ def full_name(arenas: str) -> str:
 
 def fit(config: ArenaConfig, arenas: str) -> ArenaConfig:
     """The robots of ``config`` in arenas of the size that a suite or map files bring.
+
+    A suite that brings its robots too, such as "lidar-32", replaces them.
 
     Raises:
         ValueError: naming the known suites, for an unknown name.

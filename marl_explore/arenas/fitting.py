@@ -13,7 +13,7 @@ from marl_explore.arenas.generator import Board
 from marl_explore.arenas.images import MapFile
 from marl_explore.arenas.map_files import IMAGES
 from marl_explore.arenas.maps import resample
-from marl_explore.config.arena import TOLERANCE
+from marl_explore.config.constants import TOLERANCE
 
 PIXEL_M = 0.05
 """Side of a pixel where neither file nor user gives one (metres): that of most robots' maps."""

@@ -16,8 +16,9 @@ from marl_explore.arenas.components import largest_component
 from marl_explore.arenas.generator import OBSTACLES, ArenaGenerator, Board
 from marl_explore.arenas.images import Intervals, MapFile, Values, make_values
 from marl_explore.arenas.map_files import read_map
-from marl_explore.config.arena import TOLERANCE, ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_coverage, require_positive
+from marl_explore.config.constants import TOLERANCE
 from marl_explore.core.hashing import combine
 from marl_explore.core.world import check_starts
 

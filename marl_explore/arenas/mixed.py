@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -28,7 +29,10 @@ class Quarter(ArenaGenerator):
         return torch.nn.functional.pad(part, pad, value=True)
 
 
-_KINDS = (
+Kind = tuple[Callable[[ArenaConfig, str], ArenaGenerator], str]
+"""From a configuration and a rule of starts to a generator, and that rule."""
+
+KINDS: tuple[Kind, ...] = (
     (Uniform, "scattered"),
     (Rooms, "clustered"),
     (Quarter, "scattered"),
@@ -40,25 +44,27 @@ _KINDS = (
 
 @dataclass(frozen=True)
 class Mixed:
-    """Draws arenas of the suites' kinds in any size: arena i is of kind i modulo 6.
+    """Draws arenas of several kinds in any size: arena i is of kind i modulo their number.
 
-    In order: uniform, rooms, uniform in a corner of half the height and width, mazes, corridors,
-    caves. Robots start as in the suites. A row of an environment keeps its kind, so the number of
-    rows should be a multiple of 6.
+    By default of the suites' kinds, in this order: uniform, rooms, uniform in a corner of half the
+    height and width, mazes, corridors, caves. Robots start as in the suites. A row of an
+    environment keeps its kind, so the number of rows should be a multiple of that of the kinds.
 
     Args:
         config: size of the arenas, number of robots, and density of the uniform ones.
+        kinds: what makes the generator of each kind, and how robots start there.
     """
 
     config: ArenaConfig
+    kinds: tuple[Kind, ...] = KINDS
 
     def __call__(self, seed: int, arenas: Tensor, episodes: Tensor) -> tuple[Tensor, Tensor]:
         """Obstacles bool [A, H, W] and starts int64 [A, N, 2] of arenas and episodes [A]."""
         size = (len(arenas), self.config.height, self.config.width)
         obstacles = torch.zeros(size, dtype=torch.bool, device=arenas.device)
         positions = arenas.new_zeros(len(arenas), self.config.num_agents, 2)
-        for number, (kind, starts) in enumerate(_KINDS):
-            rows = (arenas % len(_KINDS) == number).nonzero().squeeze(-1)
+        for number, (kind, starts) in enumerate(self.kinds):
+            rows = (arenas % len(self.kinds) == number).nonzero().squeeze(-1)
             if len(rows):
                 generate = kind(self.config, starts)
                 obstacles[rows], positions[rows] = generate(seed, arenas[rows], episodes[rows])

@@ -214,6 +214,7 @@ def map_suite(text: str, num_agents: int = ArenaConfig.num_agents) -> MapSuite:
         make=partial(source.arenas, in_order=True),
         digest=content.hexdigest(),
         steps=MAP_STEPS,
+        num_arenas=len(arenas.maps),
         text=text,
     )
 

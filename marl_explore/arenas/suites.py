@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -14,12 +15,15 @@ from marl_explore.arenas.caves import Caves
 from marl_explore.arenas.corridors import Corridors
 from marl_explore.arenas.generator import Generator
 from marl_explore.arenas.mazes import Mazes
+from marl_explore.arenas.mixed import Kind, Mixed
 from marl_explore.arenas.rooms import Rooms
 from marl_explore.arenas.uniform import Uniform
+from marl_explore.arenas.uniform_v2 import UniformV2
 from marl_explore.config.arena import ANY_SIZE, ArenaConfig
 from marl_explore.core.hashing import stream_seed
 
 _ARENA_FIELDS = ("height", "width", "obstacle_density")
+_ALL_FIELDS = tuple(field.name for field in fields(ArenaConfig))
 
 
 @dataclass(frozen=True)
@@ -29,9 +33,9 @@ class Suite:
     name: str
     """Name without version: kind and side of the arena, such as "rooms-32"."""
     version: int
-    """To be increased when the arenas change."""
+    """To be increased when the arenas, or other settings that belong to the suite, change."""
     config: ArenaConfig
-    """Size and mean obstacle density, which are fixed; robots and ranges may be replaced."""
+    """Size, mean obstacle density, robots and all their settings."""
     make: Callable[[ArenaConfig], Generator]
     """From a configuration to the generator of its arenas."""
     digest: str
@@ -39,6 +43,10 @@ class Suite:
     steps: int
     """Length of an evaluation: the paper's 300 steps, or nearly twice as many as nearest-frontier
     robots that never communicate need."""
+    fixed: tuple[str, ...] = _ARENA_FIELDS
+    """Fields of ``config`` that belong to the suite; the others may be replaced."""
+    num_arenas: int | None = None
+    """Arenas of an evaluation; None: 200, and fewer of larger arenas in a leaderboard."""
 
     @property
     def id(self) -> str:
@@ -50,17 +58,22 @@ class Suite:
         """What ``ExplorationEnv(arenas=...)`` knows it by."""
         return self.id
 
+    @property
+    def brings_robots(self) -> bool:
+        """Whether the robots and their settings belong to the suite."""
+        return "num_agents" in self.fixed
+
     def fit(self, config: ArenaConfig) -> ArenaConfig:
-        """The robots and ranges of ``config`` in arenas of the suite's size and density."""
-        return replace(config, **{name: getattr(self.config, name) for name in _ARENA_FIELDS})
+        """A configuration with what belongs to the suite: its size and density, or everything."""
+        return replace(config, **{name: getattr(self.config, name) for name in self.fixed})
 
     def generator(self, config: ArenaConfig) -> Generator:
         """The suite's generator for the robots of ``config``.
 
         Raises:
-            ValueError: when size or density differ from the suite's.
+            ValueError: when a field that belongs to the suite differs, naming it.
         """
-        for name in _ARENA_FIELDS:
+        for name in self.fixed:
             value, own = getattr(config, name), getattr(self.config, name)
             if value != own:
                 raise ValueError(
@@ -83,6 +96,52 @@ class Suite:
 
 def _square(side: int, density: float) -> ArenaConfig:
     return ArenaConfig(height=side, width=side, obstacle_density=density)
+
+
+def _open_ground(config: ArenaConfig, starts: str) -> UniformV2:
+    return UniformV2(replace(config, obstacle_density=0.1), starts)
+
+
+_IN_TURN: tuple[Kind, ...] = tuple(
+    (kind, "clustered") for kind in (Rooms, Caves, Mazes, _open_ground)
+)
+_LIDAR = replace(
+    _square(32, density=0.24),
+    sensing_range=3.5,
+    sensing_shape="disc",
+    line_of_sight=True,
+    communication_range=5.0,
+    wall_loss_db=math.inf,
+)
+_RADIO = replace(
+    _LIDAR,
+    communication_range=8.0,
+    wall_loss_db=6.0,
+    path_loss_exponent=2.5,
+    shadowing_db=4.0,
+    message_loss=0.1,
+)
+_MIXED_TEAM = replace(
+    _LIDAR,
+    sensing_range=(1.5, 1.5, 4.0, 4.0),  # two scouts and two mappers
+    communication_range=(4.0, 4.0, 8.0, 8.0),
+    move_period=(1, 1, 2, 2),
+)
+_FAULTY = replace(_RADIO, num_agents=6, failure_rate=0.001, num_walkers=4)
+
+
+def _in_turn(name: str, config: ArenaConfig, digest: str) -> Suite:
+    """A suite of rooms, caves, mazes and open ground in turn that brings its robots."""
+    return Suite(
+        name=name,
+        version=1,
+        config=config,
+        make=partial(Mixed, kinds=_IN_TURN),
+        digest=digest,
+        steps=1000,
+        fixed=_ALL_FIELDS,
+        num_arenas=40,
+    )
 
 
 SUITES = (
@@ -133,6 +192,27 @@ SUITES = (
         make=Corridors,
         digest="38c12395ed21e760856c96c21ecebc3986c1aa9e080728d1da404fdb81b2c761",
         steps=500,
+    ),
+    # the same obstacles; a larger team has other starts
+    _in_turn(
+        "lidar-32",
+        _LIDAR,
+        digest="5730b519276ca599e928fbace3029a8d60386fe8d838e1fcfd82612cfb065caf",
+    ),
+    _in_turn(
+        "radio-32",
+        _RADIO,
+        digest="5730b519276ca599e928fbace3029a8d60386fe8d838e1fcfd82612cfb065caf",
+    ),
+    _in_turn(
+        "mixed-team-32",
+        _MIXED_TEAM,
+        digest="5730b519276ca599e928fbace3029a8d60386fe8d838e1fcfd82612cfb065caf",
+    ),
+    _in_turn(
+        "faulty-32",
+        _FAULTY,
+        digest="87d0023295ee4182a46f14d6b48ad78af1010beac91aa49e8d0765bd15def662",
     ),
 )
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from marl_explore.arenas.generator import OBSTACLES, ArenaGenerator, numbers, redraw
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.mapping import connected
 
 
@@ -22,9 +23,20 @@ class Uniform(ArenaGenerator):
         return redraw(self.config, keys, self._scatter, connected, failure)
 
     def _scatter(self, keys: Tensor, attempt: int) -> Tensor:
-        """Obstacles in the cells with the smallest numbers, bool [A, H, W]."""
-        config = self.config
-        order = numbers(keys, OBSTACLES, attempt, count=config.num_cells)
-        smallest = order.topk(config.num_obstacles, largest=False).indices
-        obstacles = torch.zeros_like(order, dtype=torch.bool).scatter_(-1, smallest, True)
-        return obstacles.unflatten(-1, (config.height, config.width))
+        order = numbers(keys, OBSTACLES, attempt, count=self.config.num_cells)
+        return scatter(order, self.config)
+
+
+def scatter(order: Tensor, config: ArenaConfig) -> Tensor:
+    """Obstacles in the cells with the smallest numbers.
+
+    Args:
+        order: random numbers of the cells, int64 [A, H W].
+        config: size of the arenas and number of obstacles.
+
+    Returns:
+        bool [A, H, W].
+    """
+    smallest = order.topk(config.num_obstacles, largest=False).indices
+    obstacles = torch.zeros_like(order, dtype=torch.bool).scatter_(-1, smallest, True)
+    return obstacles.unflatten(-1, (config.height, config.width))

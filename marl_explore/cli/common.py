@@ -37,7 +37,8 @@ class Task:
     """Run folders, policy files, bundled policies or planners."""
     arena: ArenaConfig = field(default_factory=ArenaConfig)
     arenas: str = "uniform"
-    """A suite, which fixes size and density of the arenas, or uniform."""
+    """A suite, which fixes size and density of the arenas, or everything; or uniform, uniform-v2 or
+    mixed, which take any size."""
     steps: int | None = None
     """Maximum length of an episode in steps; default: the suite's, 300 for uniform arenas."""
     seed: int = 0

@@ -157,7 +157,9 @@ def _converted(value: Any, hint: Any) -> Any:
         return _converted(value, parts[0])
     if origin in (Union, UnionType):
         kinds = [part for part in parts if part is not type(None)]
-        return None if value is None else _converted(value, kinds[0])
+        lists = [kind for kind in kinds if get_origin(kind) is tuple]
+        kind = lists[0] if isinstance(value, list) and lists else kinds[0]
+        return None if value is None else _converted(value, kind)
     if origin is tuple:
         entries = value if isinstance(value, list) else [value]
         return tuple(_converted(entry, parts[0]) for entry in entries)

@@ -23,7 +23,7 @@ import tyro
 from tqdm import tqdm
 
 from marl_explore.cli.common import parse_options
-from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.arena import COMMUNICATION_RANGE_M, SENSING_RANGE_M, ArenaConfig
 from marl_explore.config.checks import require_integer, require_positive
 
 if TYPE_CHECKING:
@@ -154,8 +154,7 @@ def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
         cell = found.pixels_per_cell * side
         print(f"{path.name}: pixels of {side:g} m, cells of {cell:g} m{chosen}")
         _warn(path, found, file.occupied, side, arguments)
-    paper = ArenaConfig()
-    scale = cell / paper.cell_size
+    scale = cell / ArenaConfig.cell_size
     (loaded,) = source.load(cell)
     height, width = loaded.obstacles.shape
     config = ArenaConfig(
@@ -164,8 +163,8 @@ def _prepare(path: Path, arguments: Arguments) -> tuple[ArenaConfig, MapArenas]:
         obstacle_density=0.0,
         num_agents=arguments.robots,
         cell_size=cell,
-        sensing_range=paper.sensing_range * scale,
-        communication_range=paper.communication_range * scale,
+        sensing_range=SENSING_RANGE_M * scale,
+        communication_range=COMMUNICATION_RANGE_M * scale,
     )
     find_policy(arguments.policy, config)
     return config, source.arenas(config, in_order=True)

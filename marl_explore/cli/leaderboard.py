@@ -38,9 +38,11 @@ class Arguments:
     row from several training seeds; bound is a lower bound on the steps of any team; default: all
     planners and bound."""
     suites: tuple[str, ...] = ()
-    """Suites of arenas, or files and folders of maps; default: all suites."""
+    """Suites of arenas, or files and folders of maps; default: all suites that do not bring robots
+    of their own."""
     num_arenas: int | None = None
-    """Test arenas per suite; default: 200, 50 above 12 x 12 cells, 20 above 24 x 24 cells."""
+    """Test arenas per suite; default: the suite's, or 200, 50 above 12 x 12 cells, 20 above 24 x 24
+    cells."""
     steps: int | None = None
     """Length of every episode in steps; default: the suite's."""
     seed: int = 0
@@ -71,7 +73,7 @@ def run(arguments: Arguments) -> None:
     """Measure what is missing, rank, and write tables and report."""
     import torch
 
-    from marl_explore.arenas import default_number, is_source, map_suite, suite
+    from marl_explore.arenas import is_source, map_suite, suite
     from marl_explore.arenas.suites import SUITES
     from marl_explore.evaluation import leaderboard
     from marl_explore.planners import PLANNERS
@@ -82,18 +84,16 @@ def run(arguments: Arguments) -> None:
     if not (arguments.out / "cells").is_dir():
         records.require_new(arguments.out)
     entries = leaderboard.parse_entries(arguments.policies or (*PLANNERS, leaderboard.BOUND))
-    suites = [
-        map_suite(name) if is_source(name) else suite(name) for name in arguments.suites
-    ] or SUITES
+    suites = [map_suite(name) if is_source(name) else suite(name) for name in arguments.suites] or [
+        entry for entry in SUITES if not entry.brings_robots
+    ]
 
     def cell(policy: str, place: Suite) -> Cell:
-        num_arenas = next((n for side, n in ARENAS if place.config.num_cells <= side**2), 20)
-        if is_source(place.arenas):
-            num_arenas = default_number(place.arenas)
+        by_size = next((n for side, n in ARENAS if place.config.num_cells <= side**2), 20)
         return leaderboard.Cell(
             policy,
             place,
-            num_arenas=arguments.num_arenas or num_arenas,
+            num_arenas=arguments.num_arenas or place.num_arenas or by_size,
             steps=arguments.steps or place.steps,
             seed=arguments.seed,
         )

@@ -67,13 +67,19 @@ CONTEXT_COLUMNS = (
     "all_covered",
     "refused",
     "may_communicate",
+    "radius",
+    "shape_cells",
 )
 """What is known about the robot itself."""
 GAIN_SQUARES = (1, 2, 4)
-"""Radii of the squares in which unseen cells are counted, in radii of the field of view."""
+"""Radii of the squares in which unseen cells are counted, in radii of the robot's own sensor; the
+first is its shape itself."""
 LONG_AGO = 10_000
 """Steps since a merge that stand for all longer times, and for never."""
 NOT_SEEN = -1_000_000
 """Step of the last sighting of a teammate if there was none."""
 PATIENCE_STEPS = 8
 """Steps for which a robot leaves cells to those who have seen them while nothing else is left."""
+
+TOLERANCE = 1e-9
+"""Tolerance in every comparison of real distances, so that 0.3 / 0.1 counts as 3."""

@@ -127,7 +127,8 @@ def _describe(hint: Any) -> str:
     if origin is Literal:
         return f"one of {parts}"
     if origin in (Union, UnionType):
-        return " or ".join(_describe(part) for part in parts)
+        kinds = [_describe(part) for part in parts]
+        return ("; or " if any("," in kind for kind in kinds) else " or ").join(kinds)
     if origin is tuple:
         return f"a list, each entry {_describe(parts[0])}"
     return _NAMES.get(origin or hint, f"of type {getattr(hint, '__name__', hint)}")

@@ -19,6 +19,8 @@ from marl_explore.core.grid import (
     compass,
     flat_cell,
 )
+from marl_explore.core.native import Backend
+from marl_explore.core.native import paths as kernel
 from marl_explore.core.wavefront import batch_last, flood, mask
 
 
@@ -90,6 +92,35 @@ def paths(grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
     """
     labels, length = first_moves(grid, position)
     return _lowest_bit(grid.device)[labels.int()], length
+
+
+def paths_to(
+    grid: Tensor, cells: Tensor, which: Tensor, starts: Tensor, backend: Backend = "auto"
+) -> tuple[Tensor, Tensor]:
+    """``paths`` to listed cells of each map, from any number of starts.
+
+    Args:
+        grid: maps, int8 [M, H, W].
+        cells: the listed cells of every map, row * W + column, int64 [M, F].
+        which: the map of each search, int64 [Q].
+        starts: the cell that it starts from, int64 [Q].
+        backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible). The
+            results are equal.
+
+    Returns:
+        Directions and lengths (cells), int64 [Q, F] each; both 0 in the start and for cells without
+        a path.
+
+    Raises:
+        ValueError: for an unknown backend; by the native one for entries of another dtype or shape,
+            a cell outside its map, and a map that there is not.
+        RuntimeError: when the native backend is requested and cannot be used.
+    """
+    if kernel.in_use(backend, grid.device):
+        return kernel.paths_to(grid, cells, which, starts)
+    width, cell = grid.shape[-1], cells[which]
+    direction, length = paths(grid[which], torch.stack((starts // width, starts % width), -1))
+    return direction.flatten(1).gather(1, cell), length.flatten(1).gather(1, cell)
 
 
 def first_moves(

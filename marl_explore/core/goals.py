@@ -15,6 +15,7 @@ from torch import Tensor
 from marl_explore.config.constants import GAIN_SQUARES
 from marl_explore.config.constants import GOAL_COLUMNS as GOAL_COLUMNS
 from marl_explore.config.constants import MAX_FRONTIERS as MAX_FRONTIERS
+from marl_explore.config.shapes import Sight
 from marl_explore.core.frontier import first_moves, frontier_mask
 from marl_explore.core.grid import (
     FREE,
@@ -27,7 +28,8 @@ from marl_explore.core.grid import (
     straight_distances,
 )
 from marl_explore.core.memory import TeamMemory
-from marl_explore.core.sensing import count_around
+from marl_explore.core.native import Backend
+from marl_explore.core.sight import expected_discoveries
 from marl_explore.core.wavefront import nearest_distance
 
 LARGE_POCKET = 64
@@ -65,11 +67,19 @@ class Situation(NamedTuple):
     """Allowed moves, bool [*B, N, 8]."""
     memory: TeamMemory
 
+    @property
+    def beside(self) -> Tensor:
+        """Cells of the eight directions, row * W + column, int64 [*B, N, 8]; inside the map."""
+        height, width = self.grid.shape[-2:]
+        last = torch.tensor([height - 1, width - 1], device=self.grid.device)
+        beside = (self.position.unsqueeze(-2) + compass(self.grid.device)).clamp_min(0)
+        return flat_cell(torch.minimum(beside, last), width)
+
 
 def taken_cells(fov: Tensor, grid: Tensor, position: Tensor) -> Tensor:
     """Neighbouring cells that a robot sees to be blocked although its map has them free.
 
-    Another robot stands there.
+    Another robot or a person stands there, or it cannot be seen at the moment.
 
     Args:
         fov: field of view, float [*B, 2k + 1, 2k + 1], 1 where blocked.
@@ -89,14 +99,32 @@ def taken_cells(fov: Tensor, grid: Tensor, position: Tensor) -> Tensor:
     return blocked & inside & (grid.flatten(-2).gather(-1, cell) == FREE)
 
 
-def goal_table(situation: Situation, radius: int) -> GoalTable:
+def unseen_in_sight(
+    situation: Situation, cell: Tensor, sight: Sight, backend: Backend = "auto"
+) -> Tensor:
+    """Unseen cells that each robot would see from cells of its map, int64 [*B, N, X].
+
+    Args:
+        situation: what each robot knows.
+        cell: row * W + column, int64 [*B, N, X].
+        sight: of the robots.
+        backend: as for ``sight.expected_discoveries``.
+    """
+    grid, covered = situation.grid, situation.memory.covered
+    left = grid.masked_fill(covered & (grid == UNKNOWN), FREE).reshape(-1, *grid.shape[-2:])
+    robot = torch.arange(len(left), device=grid.device).repeat_interleave(cell.shape[-1])
+    kind = robot % len(sight.ranges_cells)
+    return expected_discoveries(left, robot, cell.flatten(), kind, sight, backend).view(cell.shape)
+
+
+def goal_table(situation: Situation, sight: Sight) -> GoalTable:
     """The candidate goals of every robot of a batch of teams.
 
     Args:
         situation: what each robot knows.
-        radius: half side of the field of view (cells).
+        sight: of the robots.
     """
-    flat = _Robots(situation, radius)
+    flat = _Robots(situation, sight)
     chosen = flat.thinned()
     batch = situation.position.shape[:-1]
     return GoalTable(
@@ -119,11 +147,13 @@ class _Chosen(NamedTuple):
 class _Robots:
     """The robots of a batch in one dimension, with what all columns need."""
 
-    def __init__(self, situation: Situation, radius: int) -> None:
-        memory = situation.memory
+    def __init__(self, situation: Situation, sight: Sight) -> None:
+        self.situation, self.sight, memory = situation, sight, situation.memory
         *_, team, height, width = situation.grid.shape
-        self.height, self.width, self.team, self.radius = height, width, team, radius
+        self.height, self.width, self.team = height, width, team
         self.grid = situation.grid.reshape(-1, height, width)
+        radius = torch.tensor(sight.radii, device=self.grid.device).expand(team)
+        self.radius = radius.repeat(len(self.grid) // team).unsqueeze(1)
         self.position = situation.position.reshape(-1, 2)
         self.allowed = situation.allowed.reshape(-1, NUM_DIRECTIONS)
         self.seen = (memory.seen.step >= 0).reshape(-1, team)
@@ -131,10 +161,10 @@ class _Robots:
         self.known_by = memory.known_by.reshape(-1, team, height * width)
         self.heading, self.goal = memory.heading.reshape(-1), memory.goal.reshape(-1, 2)
         self.unseen = (self.grid == UNKNOWN) & ~memory.covered.reshape(-1, height, width)
-        last = torch.tensor([height - 1, width - 1], device=self.grid.device)
-        beside = (self.position.unsqueeze(1) + compass(self.grid.device)).clamp_min(0)
-        self.beside = flat_cell(torch.minimum(beside, last), width)
-        self.gains = count_around(self.unseen, radius).flatten(1).gather(1, self.beside)
+        counts = self.unseen.long().cumsum(-1).cumsum(-2)
+        self.counts = torch.nn.functional.pad(counts, (1, 0, 1, 0)).flatten(1)
+        self.beside = situation.beside.view(-1, NUM_DIRECTIONS)
+        self.gains = self._in_sight(self.beside)
         self.labels, self.moves = first_moves(
             self.grid, self.position, self._closed(situation.taken.reshape(-1, NUM_DIRECTIONS))
         )
@@ -184,10 +214,8 @@ class _Robots:
             self.moves.flatten(1).gather(1, cell),
             move,
             chosen.size,
-            *(
-                count_around(self.unseen, radius * self.radius).flatten(1).gather(1, cell)
-                for radius in GAIN_SQUARES
-            ),
+            self._in_sight(cell),
+            *(self._in_square(cell, factor * self.radius) for factor in GAIN_SQUARES[1:]),
             self._pocket(cell),
             self._isolation(row, column, filled),
             gain,
@@ -197,6 +225,27 @@ class _Robots:
         )
         table = torch.stack(torch.broadcast_tensors(*columns), -1)
         return (table * filled.unsqueeze(-1)).int()
+
+    def _in_sight(self, cell: Tensor) -> Tensor:
+        """Unseen cells that each robot would see from cells [M, X]."""
+        if self.sight.fills_windows:
+            return self._in_square(cell, self.radius)
+        cells = cell.view(*self.situation.position.shape[:-1], cell.shape[-1])
+        return unseen_in_sight(self.situation, cells, self.sight, "torch").view(cell.shape)
+
+    def _in_square(self, cell: Tensor, radius: Tensor) -> Tensor:
+        """Unseen cells in the squares of radii [M, 1] around cells [M, X]."""
+        row, column = cell // self.width, cell % self.width
+        top, left = (row - radius).clamp_min(0), (column - radius).clamp_min(0)
+        bottom = (row + radius + 1).clamp_max(self.height)
+        right = (column + radius + 1).clamp_max(self.width)
+
+        def above(row: Tensor, column: Tensor) -> Tensor:
+            """Unseen cells above a row and to the left of a column."""
+            return self.counts.gather(1, row * (self.width + 1) + column)
+
+        below, higher = (above(edge, right) - above(edge, left) for edge in (bottom, top))
+        return below - higher
 
     def _first_move(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The first move to each cell [M, X], its gain, and whether it is allowed.
@@ -224,12 +273,12 @@ class _Robots:
         return largest.flatten(1).gather(1, cell)
 
     def _isolation(self, row: Tensor, column: Tensor, filled: Tensor) -> Tensor:
-        """Distance to the nearest other candidate outside the field of view, at most FAR_CELLS."""
+        """Distance to the nearest other candidate farther than k, at most FAR_CELLS."""
         apart = torch.maximum(
             (row.unsqueeze(1) - row.unsqueeze(2)).abs(),
             (column.unsqueeze(1) - column.unsqueeze(2)).abs(),
         )
-        counted = filled.unsqueeze(1) & (apart > self.radius)
+        counted = filled.unsqueeze(1) & (apart > self.radius.unsqueeze(-1))
         return torch.where(counted, apart, FAR_CELLS).amin(-1)
 
     def _turn(self, move: Tensor) -> Tensor:

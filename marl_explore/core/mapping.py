@@ -7,7 +7,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from marl_explore.config.arena import TOLERANCE
+from marl_explore.config.constants import TOLERANCE
 from marl_explore.core.grid import (
     FREE,
     NUM_DIRECTIONS,
@@ -54,23 +54,29 @@ def known_mask(grid: Tensor) -> Tensor:
     return (grid + 1).clamp_max_(1).float()
 
 
-def merge(known: Tensor, network: Tensor) -> Tensor:
-    """What every robot knows after each network's members have merged their maps.
+def merge(known: Tensor, group: Tensor) -> Tensor:
+    """What robots know after those of each group have merged their maps.
 
     Args:
-        known: ``known_mask`` of the maps, float32 [*B, N, H, W].
-        network: bool [*B, N, N], whether i and j are in one network (``communication.networks``).
+        known: ``known_mask`` of the maps, float32 [K, C].
+        group: the row of one of its members, the same for all of a group, int64 [K].
 
     Returns:
-        float32 [*B, N, H, W] of 0 and 1.
+        float32 [K, C] of 0 and 1.
     """
-    sources = network.float()
-    sources.diagonal(dim1=-2, dim2=-1).fill_(1)
-    return (sources @ known.flatten(-2)).clamp_max_(1).view(known.shape)
+    place = group.unsqueeze(-1).expand_as(known)
+    return known.scatter_reduce(0, place, known, "amax").index_select(0, group)
 
 
-def union_of(grid: Tensor) -> Tensor:
-    """The union of a team's maps [*B, N, H, W], int8 [*B, H, W]."""
+def union_of(grid: Tensor, alive: Tensor | None = None) -> Tensor:
+    """The union of a team's maps [*B, N, H, W], int8 [*B, H, W].
+
+    Args:
+        grid: maps, int8 [*B, N, H, W].
+        alive: robots whose maps count, bool [*B, N]; None: all.
+    """
+    if alive is not None:
+        grid = grid.masked_fill(~alive[..., None, None], UNKNOWN)
     return grid.amax(-3)  # unknown is the lowest value, and known cells agree
 
 
@@ -114,12 +120,49 @@ def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
     Returns:
         bool [*B, H, W].
     """
-    *batch, height, width = obstacles.shape
-    free = mask(batch_last(~obstacles.reshape(-1, height, width), border=0))
     starts = with_robots(torch.zeros_like(obstacles), position)
-    labels, _ = flood(batch_last(starts.reshape(-1, height, width), border=0), free, free)
+    return _flooded(starts, ~obstacles, ~obstacles)
+
+
+def _flooded(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
+    """Free cells to which legal moves lead from some start, all bool [*B, H, W].
+
+    Two cells that are not passable close the diagonal between them.
+    """
+    cells = (batch_last(x.reshape(-1, *x.shape[-2:]), border=0) for x in (starts, free, passable))
+    first, free_last, passable_last = cells
+    labels, _ = flood(first, mask(free_last), mask(passable_last))
     reached = (labels != 0)[1:-1, 1:-1].permute(2, 0, 1).contiguous()
-    return reached.view(*batch, height, width)
+    return reached.view(starts.shape)
+
+
+def finishable(
+    obstacles: Tensor, position: Tensor, alive: Tensor, grid: Tensor, target: Tensor
+) -> Tensor:
+    """Whether the living robots know all target cells or can still see them, bool [*B].
+
+    They drive around robots that failed; walkers do not count. That two of them may never meet to
+    share what they know is not considered.
+
+    Args:
+        obstacles: bool [*B, H, W].
+        position: int64 [*B, N, 2].
+        alive: bool [*B, N].
+        grid: maps, int8 [*B, N, H, W].
+        target: bool [*B, H, W].
+    """
+    living, failed = (_held(position, robots, obstacles) for robots in (alive, ~alive))
+    reached = _flooded(living, ~obstacles & ~failed, ~obstacles)
+    known = union_of(grid, alive) != UNKNOWN
+    left = target & ~known & ~(reached | beside_any(reached))
+    return ~left.flatten(-2).any(-1) & alive.any(-1)
+
+
+def _held(position: Tensor, robots: Tensor, obstacles: Tensor) -> Tensor:
+    """Cells of some robots bool [*B, N], bool [*B, H, W]."""
+    cell = flat_cell(position, obstacles.shape[-1])
+    held = torch.zeros_like(obstacles.flatten(-2), dtype=torch.int64)
+    return held.scatter_add_(-1, cell, robots.long()).bool().view(obstacles.shape)
 
 
 def target_cells(obstacles: Tensor, position: Tensor) -> Tensor:

@@ -13,9 +13,11 @@ from torch import Tensor
 
 from marl_explore.config.constants import NOT_SEEN as NOT_SEEN
 from marl_explore.config.constants import PATIENCE_STEPS as PATIENCE_STEPS
-from marl_explore.core.grid import UNKNOWN, compass
+from marl_explore.config.shapes import Sight
+from marl_explore.core.grid import FREE, UNKNOWN, compass, flat_cell
 from marl_explore.core.links import linked_others
-from marl_explore.core.sensing import in_view
+from marl_explore.core.sensing import cells_seen_from, in_view
+from marl_explore.core.sight import line_of_sight, shapes
 
 
 class Sightings(NamedTuple):
@@ -39,7 +41,7 @@ def no_sightings(position: Tensor) -> Sightings:
     )
 
 
-def sight(before: Sightings, now: Tensor, position: Tensor, linked: Tensor) -> Sightings:
+def update_sightings(before: Sightings, now: Tensor, position: Tensor, linked: Tensor) -> Sightings:
     """Sightings after one more observation.
 
     Args:
@@ -64,21 +66,39 @@ def last_place(seen: Sightings) -> Tensor:
     return seen.cell.gather(-2, latest.expand(*latest.shape[:-1], 2)).squeeze(-2)
 
 
-def seen_by(position: Tensor, linked: Tensor, height: int, width: int, radius: int) -> Tensor:
-    """Cells that linked teammates see, as far as each robot knows.
+def surely_seen(grid: Tensor, position: Tensor, linked: Tensor, sight: Sight) -> Tensor:
+    """Cells that linked teammates surely see, as far as each robot knows.
+
+    They are those of the teammate's own shape. Where obstacles end sight, what a robot's map does
+    not know may be one: the cells are those that the teammate would see if it were.
 
     Args:
+        grid: maps, int8 [*B, N, H, W].
         position: int64 [*B, N, 2].
         linked: ``links.links``, bool [*B, N, N].
-        height: of the arena (cells).
-        width: of the arena (cells).
-        radius: half side of the field of view (cells).
+        sight: of the robots.
 
     Returns:
-        bool [*B, N, N, H, W]: whether i knows that j sees the cell now.
+        bool [*B, N, N, H, W]: whether i is sure that j sees the cell now.
     """
-    views = in_view(position, height, width, radius).unsqueeze(-4)
-    return linked_others(linked)[..., None, None] & views
+    height, width = grid.shape[-2:]
+    others = linked_others(linked)
+    if sight.fills_windows:
+        views = in_view(position, height, width, sight.radius)
+        return others[..., None, None] & views.unsqueeze(-4)
+    pair = others.flatten().nonzero()  # [P, 1], numbers of robot and teammate in one
+    robot, mate = pair // others.shape[-1], pair % others.shape[-1]
+    place = flat_cell(position, width).unsqueeze(-2).expand_as(others)
+    own = place.flatten().take(pair)
+    cell = cells_seen_from(height, width, sight.radius, grid.device)[own.squeeze(-1)]
+    seen = shapes(sight, grid.device)[mate.squeeze(-1) % len(sight.ranges_cells)]
+    if sight.line_of_sight:
+        wall = (grid != FREE).flatten(-2).view(-1, height * width)[robot, cell]
+        wall = wall.masked_fill_(cell == own, False).view_as(seen)  # the teammate stands there
+        seen = seen & line_of_sight(wall)
+    found = torch.zeros(others.numel(), height * width, dtype=torch.bool, device=grid.device)
+    found[pair, torch.where(seen.flatten(-2), cell, own)] = True
+    return found.view(*others.shape, height, width)
 
 
 class TeamMemory(NamedTuple):
@@ -86,7 +106,7 @@ class TeamMemory(NamedTuple):
 
     seen: Sightings
     known_by: Tensor
-    """Cells that i is sure j knows, bool [*B, N, N, H, W]: of maps they merged, and in j's view."""
+    """Cells that i is sure j knows, bool [*B, N, N, H, W]: of maps they merged, and that j saw."""
     covered: Tensor
     """Cells that i leaves to teammates who have seen them, bool [*B, N, H, W]."""
     stuck: Tensor
@@ -135,7 +155,7 @@ def remember(
     before: TeamMemory,
     observed: Observation,
     all_covered: Tensor,
-    radius: int,
+    sight: Sight,
     patience_steps: int = PATIENCE_STEPS,
 ) -> TeamMemory:
     """The memory after one more observation.
@@ -145,17 +165,16 @@ def remember(
         observed: the new observation.
         all_covered: whether a robot could reach frontiers before this step, all of them covered,
             bool [*B, N] (``goals.GoalTable.all_covered``).
-        radius: half side of the field of view (cells).
+        sight: of the robots.
         patience_steps: steps in a row of ``all_covered`` after which covered cells are forgotten.
     """
     grid, linked = observed.grid, observed.linked
     stuck = (before.stuck + 1) * all_covered
     forget = stuck >= patience_steps
-    height, width = grid.shape[-2:]
-    views = seen_by(observed.position, linked, height, width, radius)
+    views = surely_seen(grid, observed.position, linked, sight)
     merged = linked_others(observed.since == 0)[..., None, None]
     return TeamMemory(
-        seen=sight(before.seen, observed.now, observed.position, linked),
+        seen=update_sightings(before.seen, observed.now, observed.position, linked),
         known_by=before.known_by | views | (merged & (grid != UNKNOWN).unsqueeze(-3)),
         covered=(before.covered & ~forget[..., None, None]) | views.any(-3),
         stuck=stuck.masked_fill(forget, 0),

@@ -26,17 +26,39 @@ def open_moves(view: Tensor) -> Tensor:
     return (cells | closed_diagonals(cells & WALL)) == OPEN
 
 
-def action_mask(open_moves: Tensor, linked: Tensor) -> Tensor:
+def in_turn(
+    period: int | tuple[int, ...], alive: Tensor | None, step_count: Tensor
+) -> Tensor | None:
+    """Robots that may move: those that live and whose period divides the time.
+
+    Bool [*B, N], or [*B, 1] if the same is true of all; None: all of them may.
+
+    Args:
+        period: steps, of each robot or of all.
+        alive: bool [*B, N]; None: all.
+        step_count: int64 [*B, 1].
+    """
+    if period == 1:
+        return alive
+    turn = step_count % torch.tensor(period, device=step_count.device) == 0
+    return turn if alive is None else alive & turn
+
+
+def action_mask(open_moves: Tensor, linked: Tensor, may_move: Tensor | None = None) -> Tensor:
     """Allowed actions: open moves, staying, and communicating if linked to another robot.
 
     Args:
         open_moves: bool [*B, N, 9].
         linked: ``links.links``, bool [*B, N, N].
+        may_move: robots ``in_turn``, bool [*B, N]; None: all.
 
     Returns:
         bool [*B, N, 10].
     """
-    return torch.cat((open_moves, any_linked(linked).unsqueeze(-1)), -1)
+    mask = torch.cat((open_moves, any_linked(linked).unsqueeze(-1)), -1)
+    if may_move is not None:
+        mask[..., :NUM_DIRECTIONS] &= may_move.unsqueeze(-1)
+    return mask
 
 
 def random_allowed(mask: Tensor) -> Tensor:

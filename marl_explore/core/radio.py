@@ -8,7 +8,9 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from marl_explore.config.arena import TOLERANCE
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import TOLERANCE
+from marl_explore.core.draws import normals
 
 NEVER_LINKED = -1
 """Largest squared distance of a pair that no distance links."""
@@ -35,10 +37,15 @@ def most_squared(
         return FARTHEST
     exponent = -(through + loss) / (10 * path_loss_exponent)
     gain = math.inf if exponent > 308 else 10.0**exponent  # a larger power raises an error
-    return math.floor(min((range_cells * gain + TOLERANCE) ** 2, FARTHEST))
+    return most_squared_within(range_cells * gain)
 
 
-@lru_cache(maxsize=4096)
+def most_squared_within(range_cells: float) -> int:
+    """The largest squared distance of two cells within a range (cells; may be infinite)."""
+    reach = min(range_cells + TOLERANCE, float(FARTHEST))  # the square of more might overflow
+    return math.floor(min(reach**2, FARTHEST))
+
+
 def reach_table(
     range_cells: float,
     wall_loss_db: float,
@@ -72,21 +79,112 @@ def walls_between(obstacles: Tensor, start: Tensor, end: Tensor, most_moves: int
         end: int64 [*B, P, 2].
         most_moves: lines of more moves than this are followed only so far.
     """
+    width = obstacles.shape[-1]
+    # short integers are faster, where they can number all cells
+    kind = torch.int32 if obstacles.numel() < 2**31 else torch.int64
+    start, end = start.to(kind), end.to(kind)
     ahead = end - start
     moves = ahead.abs().amax(-1, keepdim=True)  # m
-    step = torch.arange(1, max(most_moves, 1), device=obstacles.device)
+    step = torch.arange(1, max(most_moves, 1), device=obstacles.device, dtype=kind)
     moved = step * ahead.unsqueeze(-1)  # [*B, P, 2, T]
     length = moves.clamp_min(1).unsqueeze(-1)
     below = moved.div(length, rounding_mode="floor")
     rest = 2 * (moved - below * length)
     low, high = below + (rest > length), below + (rest >= length)
-    width = obstacles.shape[-1]
     flat, inside = obstacles.flatten(-2), step < moves
+    first = (start[..., 0] * width + start[..., 1]).unsqueeze(-1)
 
     def blocked(offset: Tensor) -> Tensor:
-        row, column = (start.unsqueeze(-1) + offset).unbind(-2)
-        cell = (row * width + column).masked_fill(~inside, 0)
-        return flat.gather(-1, cell.flatten(-2)).view(cell.shape)
+        row, column = offset.unbind(-2)
+        cell = (first + row * width + column).masked_fill(~inside, 0)
+        return flat.gather(-1, cell.flatten(-2).long()).view(cell.shape)
 
     # only one coordinate can lie halfway, so its two cells are those of all low or all high
     return (blocked(low) & blocked(high) & inside).sum(-1)
+
+
+def walls_near(obstacles: Tensor, start: Tensor, end: Tensor, near: Tensor) -> Tensor:
+    """``walls_between`` of the pairs that are near, int64 [*B, P]; 0 for the others.
+
+    Args:
+        obstacles: bool [*B, H, W].
+        start: int64 [*B, P, 2].
+        end: int64 [*B, P, 2].
+        near: bool [*B, P].
+    """
+    height, width = obstacles.shape[-2:]
+    if near.device.type != "cpu":  # choosing pairs would synchronise the device
+        return walls_between(obstacles, start, end, max(height, width)) * near
+    chosen = near.flatten().nonzero().squeeze(-1)
+    number = torch.zeros(near.shape, dtype=torch.int64)
+    if len(chosen):
+        # all arenas as one tall grid
+        tall = obstacles.reshape(-1, width)
+        top = torch.stack((chosen // near.shape[-1] * height, torch.zeros_like(chosen)), -1)
+        ends = (cell.reshape(-1, 2).index_select(0, chosen) for cell in (start, end))
+        start, end = (cell + top for cell in ends)
+        most_moves = int((end - start).abs().max())
+        number.view(-1)[chosen] = walls_between(tall, start, end, most_moves)
+    return number
+
+
+@lru_cache
+def pairs(robots: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """The first and the second robot of every pair i < j, int64 [P] each."""
+    first, second = torch.triu_indices(robots, robots, offset=1, device=device)
+    return first, second
+
+
+@lru_cache
+def pair_reaches(config: ArenaConfig, device: torch.device) -> Tensor:
+    """Largest squared distance at which each pair is linked, by the walls between, int64 [P, L].
+
+    The last column is for all larger numbers of walls.
+    """
+    tables = [_table(config, pair, 0.0) for pair in _ranges_of_pairs(config)]
+    return _padded(tables, max(map(len, tables), default=0)).to(device)
+
+
+def reaches(config: ArenaConfig, draw_key: Tensor) -> Tensor:
+    """``pair_reaches`` of episodes in which shadowing weakens each pair, int64 [*B, P, L].
+
+    Args:
+        config: has the radios.
+        draw_key: int64 [*B, 1].
+
+    Returns:
+        [*B, 0, 0] without shadowing: all episodes have the same.
+    """
+    batch = draw_key.shape[:-1]
+    if not config.shadowing_db:
+        return draw_key.new_zeros(*batch, 0, 0)
+    ranges = _ranges_of_pairs(config)
+    strongest = -config.shadowing_db * math.sqrt(-2 * math.log(2.0**-53))
+    longest = max((len(_table(config, pair, strongest)) for pair in ranges), default=0)
+    keys = draw_key.flatten()
+    first, second = (robots.tolist() for robots in pairs(config.num_agents, keys.device))
+    tables: list[list[tuple[int, ...]]] = [[] for _ in range(len(keys))]
+    for pair, i, j in zip(ranges, first, second, strict=True):
+        for table, normal in zip(tables, normals(keys, "shadow", i, j), strict=True):
+            table.append(_table(config, pair, config.shadowing_db * normal))
+    every = [_padded(table, longest) for table in tables]
+    return torch.stack(every).to(keys.device).view(*batch, len(ranges), longest + 1)
+
+
+def _ranges_of_pairs(config: ArenaConfig) -> list[float]:
+    """The shorter range of each pair i < j (cells)."""
+    robots = range(config.num_agents)
+    return [config.reach_cells(i, j) for i in robots for j in robots if i < j]
+
+
+def _table(config: ArenaConfig, range_cells: float, loss: float) -> tuple[int, ...]:
+    most_walls = max(config.height, config.width) if config.wall_loss_db else 0
+    return reach_table(
+        range_cells, config.wall_loss_db, config.path_loss_exponent, loss, most_walls
+    )
+
+
+def _padded(tables: list[tuple[int, ...]], longest: int) -> Tensor:
+    """Tables with the same number of columns, the last of which links nobody, int64 [P, L + 1]."""
+    rows = [(*table, *(NEVER_LINKED,) * (longest + 1 - len(table))) for table in tables]
+    return torch.tensor(rows, dtype=torch.int64).view(len(rows), longest + 1)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from marl_explore.core.grid import COMMUNICATE, STAY, other_robots
 from marl_explore.core.mapping import known_cells, known_mask, union_of
+from marl_explore.core.survivors import largest_of_living, mean_of_living, some_failed
 
 
 class StepRecord(NamedTuple):
@@ -31,12 +32,14 @@ class StepRecord(NamedTuple):
     """q_ij before the step's merges reset it, int64 [*B, N, N] (cells)."""
     missing: Tensor
     """Target cells that each map does not know after the step, int64 [*B, N]."""
+    alive: Tensor
+    """Robots that have not failed, this step included, bool [*B, N]."""
     maps: tuple[Tensor, Tensor]
     """Maps before and after the step, int8 [*B, N, H, W] each."""
     num_cells: int
     """H x W."""
-    max_discovery: int
-    """e_max, the most cells that one move can discover."""
+    max_discovery: int | Tensor
+    """e_max, the most cells that one move can discover; of robots that differ int64 [N]."""
 
     @property
     def merged(self) -> Tensor:
@@ -45,8 +48,8 @@ class StepRecord(NamedTuple):
 
     @property
     def complete(self) -> Tensor:
-        """Whether some robot's map is complete after the step, bool [*B]."""
-        return (self.missing == 0).any(-1)
+        """Whether the map of some living robot is complete after the step, bool [*B]."""
+        return ((self.missing == 0) & self.alive).any(-1)
 
     @property
     def gain(self) -> Tensor:
@@ -55,8 +58,8 @@ class StepRecord(NamedTuple):
 
     @property
     def union_growth(self) -> Tensor:
-        """Cells that were new to the whole team, int64 [*B]."""
-        before, after = (known_cells(known_mask(union_of(grid))) for grid in self.maps)
+        """Cells that were new to all living robots, int64 [*B]."""
+        before, after = (known_cells(known_mask(union_of(grid, self.alive))) for grid in self.maps)
         return after - before
 
 
@@ -106,7 +109,7 @@ def progress(step: StepRecord) -> Tensor:
 
     Discoveries of every robot count immediately, not only when they reach the largest map.
     """
-    mean = step.gain.float().mean(-1, keepdim=True)
+    mean = mean_of_living(step.gain.float(), step.alive).unsqueeze(-1)
     return _less_prices((_growth(step) + mean) / 2, step)
 
 
@@ -120,14 +123,16 @@ def union(step: StepRecord) -> Tensor:
 
 
 def _growth(step: StepRecord) -> Tensor:
-    """Growth of the largest map, int64 [*B, 1] (cells)."""
-    largest_before = (step.known - step.gain).amax(-1, keepdim=True)
-    return step.known.amax(-1, keepdim=True) - largest_before
+    """Growth of the living robots' largest map, int64 [*B, 1] (cells)."""
+    before, after = (
+        largest_of_living(known, step.alive) for known in (step.known - step.gain, step.known)
+    )
+    return (after - before).unsqueeze(-1)
 
 
 def _less_prices(growth: Tensor, step: StepRecord) -> Tensor:
     """Growth [*B, 1] (cells) as reward, minus costs of time and refused moves, float [*B, N]."""
-    danger = step.dangerous.float().mean(-1, keepdim=True)
+    danger = mean_of_living(step.dangerous.float(), step.alive).unsqueeze(-1)
     unfinished = ~step.complete.unsqueeze(-1)
     return (growth / 40 - 0.1 * unfinished - 0.25 * danger).expand_as(step.dangerous)
 
@@ -143,7 +148,7 @@ REWARDS: dict[str, Reward] = {
 
 
 def checked(reward: Tensor, step: StepRecord) -> Tensor:
-    """The reward, after checking that it is float [*B, N].
+    """The reward of the living robots, after checking that it is float [*B, N]; else 0.
 
     Raises:
         ValueError: naming its dtype and shape.
@@ -154,7 +159,9 @@ def checked(reward: Tensor, step: StepRecord) -> Tensor:
             f"reward must return a float tensor of shape {tuple(shape)}, one number per robot, "
             f"got {reward.dtype} of shape {tuple(reward.shape)}"
         )
-    return reward.float()
+    if not some_failed(step.alive):
+        return reward.float()
+    return reward.float().masked_fill(~step.alive, 0.0)
 
 
 def resolve(reward: str | Reward) -> Reward:

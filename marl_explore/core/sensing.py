@@ -12,16 +12,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import (
     COMPASS,
-    FREE,
-    OCCUPIED,
     UNKNOWN,
-    compass,
     flat_cell,
     square_steps,
     straight_distances,
 )
+from marl_explore.core.native import Backend
+from marl_explore.core.native import sensing as kernel
+from marl_explore.core.native import sight as sight_kernel
+from marl_explore.core.sight import line_of_sight, shapes
 
 OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 4
 """Contents of a cell around a robot (int8, one bit each); UNSEEN is outside or hidden."""
@@ -32,28 +34,54 @@ def bordered(obstacles: Tensor, radius: int) -> Tensor:
     return torch.nn.functional.pad(obstacles.to(torch.int8), (radius,) * 4, value=UNSEEN)
 
 
-def surroundings(walls: Tensor, position: Tensor, radius: int, occlusion: bool = False) -> Tensor:
-    """Contents of the square around each robot; the own cell is OPEN.
+def surroundings(
+    walls: Tensor,
+    position: Tensor,
+    sight: Sight,
+    walkers: Tensor | None = None,
+    backend: Backend = "auto",
+) -> Tensor:
+    """Contents of the window around each robot; the own cell is OPEN.
 
     Args:
         walls: ``bordered`` obstacles, int8 [*B, H + 2k, W + 2k].
         position: int64 [*B, N, 2].
-        radius: half side k of the square (cells).
-        occlusion: whether two obstacles hide the diagonal cell behind them (k = 1 only).
+        sight: of the robots; k is its radius.
+        walkers: cells of people, int64 [*B, W, 2]; they look like robots.
+        backend: as for ``sight.line_of_sight``.
 
     Returns:
-        int8 [*B, N, 2k + 1, 2k + 1], row 0 north.
+        int8 [*B, N, 2k + 1, 2k + 1], row 0 north; what a robot cannot see is UNSEEN.
     """
-    side, stride = 2 * radius + 1, walls.shape[-1]
+    radius, side, stride = sight.radius, sight.side, walls.shape[-1]
     own = flat_cell(position, stride) + radius * (stride + 1)
     occupied = walls.flatten(-2).scatter(-1, own, ROBOT)
+    if walkers is not None and walkers.shape[-2]:
+        cell = flat_cell(walkers, stride) + radius * (stride + 1)
+        occupied = occupied.scatter_(-1, cell, ROBOT)
+    masks = shapes(sight, walls.device)
+    if sight_kernel.in_use(backend, walls.device):
+        return kernel.surroundings(occupied.view(walls.shape), own, masks, sight.line_of_sight)
     index = own.unsqueeze(-1) + square_steps(radius, stride, walls.device)
     view = occupied.gather(-1, index.flatten(-2)).view(*own.shape, side, side)
     view[..., radius, radius].fill_(OPEN)
-    if occlusion:
-        wall = view == WALL
-        hidden = wall[..., ::2, 1:2] & wall[..., 1:2, ::2]
-        view[..., ::2, ::2].masked_fill_(hidden, UNSEEN)
+    if sight.line_of_sight:
+        masks = masks & line_of_sight(view == WALL, backend)
+    return view.masked_fill_(~masks, UNSEEN)
+
+
+def blinded(view: Tensor, alive: Tensor | None) -> Tensor:
+    """``surroundings`` of which robots that failed see nothing but their own cell.
+
+    Args:
+        view: int8 [*B, N, 2k + 1, 2k + 1].
+        alive: bool [*B, N]; None: all.
+    """
+    if alive is None:
+        return view
+    radius = view.shape[-1] // 2
+    view = view.masked_fill(~alive[..., None, None], UNSEEN)
+    view[..., radius, radius].fill_(OPEN)
     return view
 
 
@@ -97,46 +125,55 @@ def field_of_view(view: Tensor) -> Tensor:
 
 
 class Sensed(NamedTuple):
-    """Maps after sensing, and the new cells."""
+    """Maps after sensing, and the cells that were new to each."""
 
     map: Tensor
     """int8 [*B, N, H, W], a new tensor."""
-    cell: Tensor
-    """Seen cells of the flattened arena, int64 [*B, N, (2k + 1)^2]."""
-    fresh: Tensor
-    """Whether each of these cells was unknown, bool."""
-
-    @property
-    def discovered(self) -> Tensor:
-        """Cells that were new to each robot's map, int64 [*B, N]."""
-        return self.fresh.sum(-1)
-
-    def discovered_of(self, target: Tensor) -> Tensor:
-        """New cells among those of a mask bool [*B, H, W], int64 [*B, N]."""
-        chosen = target.flatten(-2).gather(-1, self.cell.flatten(-2)).view(self.cell.shape)
-        return (self.fresh & chosen).sum(-1)
+    discovered: Tensor
+    """Number of new cells, int64 [*B, N]."""
+    targets: Tensor
+    """Number of target cells among them, int64 [*B, N]."""
 
 
-def sense(grid: Tensor, view: Tensor, position: Tensor, occlusion: bool = False) -> Sensed:
+def sense(
+    grid: Tensor,
+    view: Tensor,
+    position: Tensor,
+    target: Tensor,
+    alive: Tensor | None = None,
+    backend: Backend = "auto",
+) -> Sensed:
     """Maps after each robot has sensed the cells around it.
 
     Args:
         grid: maps in which the robots' own cells are known, int8 [*B, N, H, W].
         view: ``sensing.surroundings``, int8 [*B, N, 2k + 1, 2k + 1].
         position: int64 [*B, N, 2].
-        occlusion: whether cells on the grid may be hidden.
+        target: cells that are counted apart, bool [*B, H, W].
+        alive: bool [*B, N]; maps of robots that failed stay as they are. None: all robots live.
+        backend: as for ``sight.line_of_sight``.
     """
-    # cells that cannot be seen are replaced by the own cell, which is known and not a wall
+    if alive is None:
+        alive = torch.ones(position.shape[:-1], dtype=torch.bool, device=grid.device)
+    if sight_kernel.in_use(backend, grid.device):
+        return Sensed(*kernel.sense(grid, view, position, alive, target))
+    # cells that are not seen are replaced by the own cell, whose value stays
     height, width = grid.shape[-2:]
     own = flat_cell(position, width)
     cells = cells_seen_from(height, width, view.shape[-1] // 2, view.device)
     view = view.flatten(-2)
+    unseen = (view == UNSEEN) | ~alive.unsqueeze(-1)
     cell = cells.index_select(0, own.flatten()).view(view.shape)
-    if occlusion:
-        cell = torch.where(view == UNSEEN, own.unsqueeze(-1), cell)
+    cell = torch.where(unseen, own.unsqueeze(-1), cell)
     known = grid.flatten(-2)
-    fresh = known.gather(-1, cell) == UNKNOWN
-    return Sensed(known.scatter(-1, cell, view & WALL).view(grid.shape), cell, fresh)
+    fresh = (known.gather(-1, cell) == UNKNOWN) & ~unseen
+    value = torch.where(unseen, known.gather(-1, own.unsqueeze(-1)), view & WALL)
+    chosen = target.flatten(-2).gather(-1, cell.flatten(-2)).view(cell.shape)
+    return Sensed(
+        known.scatter(-1, cell, value).view(grid.shape),
+        fresh.sum(-1),
+        (fresh & chosen).sum(-1),
+    )
 
 
 def unknown_around(grid: Tensor, radius: int) -> Tensor:
@@ -147,51 +184,6 @@ def unknown_around(grid: Tensor, radius: int) -> Tensor:
     return (mean * side**2).round().view(grid.shape)
 
 
-def count_around(cells: Tensor, radius: int) -> Tensor:
-    """Cells of a set bool [*B, H, W] in the square around each cell, int64 [*B, H, W]."""
-    height, width = cells.shape[-2:]
-    corner = torch.nn.functional.pad(cells.long().cumsum(-1).cumsum(-2), (1, 0, 1, 0))
-    row = torch.arange(height, device=cells.device)
-    column = torch.arange(width, device=cells.device)
-    top, bottom = (row - radius).clamp_min(0), (row + radius + 1).clamp_max(height)
-    left, right = (column - radius).clamp_min(0), (column + radius + 1).clamp_max(width)
-    strip = corner.index_select(-2, bottom) - corner.index_select(-2, top)
-    return strip.index_select(-1, right) - strip.index_select(-1, left)
-
-
-def step_gains(grid: Tensor, position: Tensor, radius: int) -> Tensor:
-    """Number of cells that a robot would see for the first time after each move.
-
-    Args:
-        grid: maps, int8 [*B, H, W].
-        position: int64 [*B, 2].
-        radius: of the square that it sees (cells).
-
-    Returns:
-        float32 [*B, 8]; 0 where the move is known to be blocked.
-    """
-    height, width = grid.shape[-2:]
-    target = position.unsqueeze(-2) + compass(grid.device)
-    size = torch.tensor([height, width], device=grid.device)
-    inside = ((target >= 0) & (target < size)).all(-1)
-    target = target.clamp(torch.zeros_like(size), size - 1)
-
-    def at(cells: Tensor, row: Tensor, column: Tensor) -> Tensor:
-        return cells.flatten(-2).gather(-1, row * width + column)
-
-    row, column = target.unbind(-1)
-    own_row, own_column = (entry.expand_as(row) for entry in position.unsqueeze(-2).unbind(-1))
-    walled = (at(grid, row, own_column) == OCCUPIED) & (at(grid, own_row, column) == OCCUPIED)
-    diagonal = (row != own_row) & (column != own_column)
-    allowed = inside & (at(grid, row, column) == FREE) & ~(walled & diagonal)
-    return at(unknown_around(grid, radius), row, column) * allowed
-
-
-def cells_in_view(radius: int) -> int:
-    """Number of cells in a robot's field of view, including its own."""
-    return (2 * radius + 1) ** 2
-
-
 def in_view(position: Tensor, height: int, width: int, radius: int) -> Tensor:
-    """Cells that a robot at positions int64 [*B, 2] sees, bool [*B, H, W]."""
+    """Cells of the square around positions int64 [*B, 2], bool [*B, H, W]."""
     return straight_distances(position, height, width) <= radius

@@ -5,45 +5,43 @@ Windows are squares of side 2k + 1 around a robot, row 0 north; offsets are (row
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from marl_explore.config.arena import TOLERANCE
-from marl_explore.core.grid import COMPASS
+from marl_explore.config.shapes import Sight, half_widths
+from marl_explore.core.grid import FREE, OCCUPIED, UNKNOWN, square_steps
+from marl_explore.core.native import Backend
+from marl_explore.core.native import sight as kernel
 
-Shape = Literal["square", "disc"]
-"""square: the largest one inside the sensing disc (the paper's); disc: every cell in range."""
+CELLS_AT_ONCE = 4_000_000
+"""Cells of windows that are looked at together, which bounds the memory that it takes."""
 
 
-def shape_radius(shape: Shape, range_cells: float) -> int:
-    """k of the smallest window that holds the shape of a sensor with this range (cells)."""
-    if shape == "square":
-        return math.floor(range_cells / math.sqrt(2) - 0.5 + TOLERANCE)
-    return math.floor(range_cells + TOLERANCE)
+def shape_mask(shape: str, range_cells: float, radius: int, device: torch.device) -> Tensor:
+    """Cells of a sensor's shape in a window of the same or a larger radius, bool [2k+1, 2k+1]."""
+    return _mask(half_widths(shape, range_cells), radius, device)
 
 
 @lru_cache
-def shape_mask(shape: Shape, range_cells: float, radius: int, device: torch.device) -> Tensor:
-    """Cells of a sensor's shape in a window of the same or a larger radius, bool [2k+1, 2k+1]."""
-    steps = torch.arange(-radius, radius + 1, device=device)
-    if shape == "square":
-        inside = steps.abs() <= shape_radius(shape, range_cells)
-        return inside & inside.unsqueeze(-1)
-    squares = steps * steps
-    limit = math.floor((range_cells + TOLERANCE) ** 2)
-    return squares + squares.unsqueeze(-1) <= limit
+def _mask(reach: tuple[int, ...], radius: int, device: torch.device) -> Tensor:
+    steps = [abs(step) for step in range(-radius, radius + 1)]
+    widths = [reach[row] if row < len(reach) else -1 for row in steps]
+    inside = [[column <= width for column in steps] for width in widths]
+    return torch.tensor(inside, device=device)
 
 
-def most_discovered(shape: Shape, range_cells: float) -> int:
-    """The most cells of a shape that one move brings in; of a square 4k + 1."""
-    radius = shape_radius(shape, range_cells) + 1
-    here = shape_mask(shape, range_cells, radius, torch.device("cpu"))
-    moved = (here.roll(move, (0, 1)) for move in COMPASS)  # the rim of the window is empty
-    return max(int((there & ~here).sum()) for there in moved)
+def shapes(sight: Sight, device: torch.device) -> Tensor:
+    """The cells of every robot's shape in the window of the team, bool [N or 1, 2k+1, 2k+1]."""
+    reaches = tuple(half_widths(sight.shape, reach) for reach in sight.ranges_cells)
+    return _masks(reaches, sight.radius, device)
+
+
+@lru_cache
+def _masks(reaches: tuple[tuple[int, ...], ...], radius: int, device: torch.device) -> Tensor:
+    return torch.stack([_mask(reach, radius, device) for reach in reaches])
 
 
 class _Ring(NamedTuple):
@@ -93,7 +91,7 @@ def _nearest(numerator: int, denominator: int) -> tuple[int, ...]:
     return (below + (2 * rest > denominator),)
 
 
-def line_of_sight(wall: Tensor) -> Tensor:
+def line_of_sight(wall: Tensor, backend: Backend = "auto") -> Tensor:
     """Cells of windows that are seen from the centre, bool [*B, 2k + 1, 2k + 1].
 
     From the inside out, a cell is seen if one of the one or two cells through which the straight
@@ -102,7 +100,15 @@ def line_of_sight(wall: Tensor) -> Tensor:
 
     Args:
         wall: obstacles of each window, bool [*B, 2k + 1, 2k + 1]; no obstacle outside an arena.
+        backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible). The
+            results are equal.
+
+    Raises:
+        ValueError: for an unknown backend, and by the native one for another dtype or shape.
+        RuntimeError: when the native backend is requested and cannot be used.
     """
+    if kernel.in_use(backend, wall.device):
+        return kernel.line_of_sight(wall)
     side = wall.shape[-1]
     wall = wall.flatten(-2)
     seen = torch.zeros_like(wall)
@@ -114,3 +120,49 @@ def line_of_sight(wall: Tensor) -> Tensor:
         passes &= ~(beside[..., 0] & beside[..., 1])
         seen[..., ring.cell] = passes.unflatten(-1, (-1, 2)).any(-1)
     return seen.unflatten(-1, (side, side))
+
+
+def expected_discoveries(
+    grid: Tensor,
+    which: Tensor,
+    cell: Tensor,
+    kind: Tensor,
+    sight: Sight,
+    backend: Backend = "auto",
+) -> Tensor:
+    """Unknown cells that robots would see from cells of their maps (WORLD.md, Sight), int64 [Q].
+
+    Cells of a robot's own shape inside the map; if obstacles end sight, those of them that would be
+    seen if all unknown cells were free.
+
+    Args:
+        grid: maps, int8 [M, H, W].
+        which: the map of each query, int64 [Q].
+        cell: the cell to look from, row * W + column, int64 [Q].
+        kind: the robot that looks, int64 [Q]; 0 if ``sight`` has one entry for all.
+        sight: of the robots; k is its radius.
+        backend: as for ``line_of_sight``.
+
+    Raises:
+        ValueError: for an unknown backend; by the native one for entries of another dtype or shape,
+            a cell outside its map, and a map or robot that there is not.
+        RuntimeError: when the native backend is requested and cannot be used.
+    """
+    masks = shapes(sight, grid.device)
+    if kernel.in_use(backend, grid.device):
+        return kernel.expected_discoveries(grid, which, cell, kind, masks, sight.line_of_sight)
+    radius, side = sight.radius, sight.side
+    height, width = grid.shape[-2] + 2 * radius, grid.shape[-1] + 2 * radius
+    bordered = torch.nn.functional.pad(grid, (radius,) * 4, value=FREE)
+    row, column = cell // grid.shape[-1] + radius, cell % grid.shape[-1] + radius
+    own = (which * height + row) * width + column
+    steps = square_steps(radius, width, grid.device)
+    size = max(1, CELLS_AT_ONCE // side**2)
+    found = []
+    for centre, robot in zip(own.split(size), kind.split(size), strict=True):
+        window = bordered.take(centre.unsqueeze(-1) + steps).view(-1, side, side)
+        expected = (window == UNKNOWN) & masks.index_select(0, robot)
+        if sight.line_of_sight:
+            expected &= line_of_sight(window == OCCUPIED, "torch")
+        found.append(expected.sum((-2, -1)))
+    return torch.cat(found)

@@ -16,12 +16,15 @@ from marl_explore import arenas as suites
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require, require_coverage, require_integer
 from marl_explore.core import mapping, rewards, sensing, world
+from marl_explore.core.draws import episode_key
 from marl_explore.core.hashing import stream_seed
+from marl_explore.core.links import require_radio
+from marl_explore.core.survivors import largest_of_living, mean_of_living, some_failed
 from marl_explore.core.world import WorldState
 from marl_explore.envs.given import checked_action, checked_seed, given_state, loaded_state
 from marl_explore.envs.masks import CurrentMask
 from marl_explore.envs.memory import require_env_memory
-from marl_explore.envs.pictures import RenderMode, picture
+from marl_explore.envs.pictures import RenderMode, Team, picture
 from marl_explore.envs.specs import exploration_specs
 from marl_explore.envs.state import EpisodeState, LastStep
 from marl_explore.envs.workers import in_worker, warn_of_shared_arenas
@@ -77,6 +80,7 @@ class ExplorationEnv(EnvBase):
             raise ValueError(f"stream={stream!r} is not allowed: it must be a string")
         require_coverage("terminate_at_coverage", terminate_at_coverage)
         seed = checked_seed(seed)
+        require_radio(config)
         require_env_memory(config, num_envs)
         super().__init__(device=device, batch_size=[num_envs])
         self.config = config
@@ -124,7 +128,8 @@ class ExplorationEnv(EnvBase):
     ) -> TensorDictBase:
         flagged = None if tensordict is None else tensordict.get("_reset", None)
         if set_state:
-            given = given_state(self.config, self.full_state_spec, tensordict)
+            keys = self._keys(self._seed, self._episode)
+            given = given_state(self.config, self.full_state_spec, tensordict, keys)
             rows = self._rows(flagged)
             self._replace_rows(rows, given.apply(lambda entry: entry[rows]))
         elif not self._restored or flagged is not None:
@@ -146,7 +151,13 @@ class ExplorationEnv(EnvBase):
         self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
         seed = stream_seed(self.stream, self._seed)
         obstacles, position = self._generate(seed, self.first_arena + rows, self._episode[rows])
-        return world.start(self.config, obstacles, position)
+        keys = self._keys(self._seed, self._episode)[rows]
+        return world.start(self.config, obstacles, position, keys)
+
+    def _keys(self, seed: int, episode: Tensor) -> Tensor:
+        """Keys of the random events in episodes int64 [B] of all arenas, int64 [B, 1]."""
+        arenas = self.first_arena + torch.arange(len(episode), device=episode.device)
+        return episode_key(stream_seed(self.stream, seed), arenas, episode).unsqueeze(-1)
 
     def _replace_rows(self, rows: Tensor, fresh: EpisodeState) -> None:
         """Write new arenas into the state, without changing tensors that were returned earlier."""
@@ -177,9 +188,11 @@ class ExplorationEnv(EnvBase):
         )
         self._enter(EpisodeState(state, last))
         terminated = self._covered(state, record).unsqueeze(-1)
+        if some_failed(state.alive):
+            terminated = terminated | ~state.alive.any(-1, keepdim=True)
         truncated = state.step_count >= self.max_steps
         return self._observe(
-            reward=reward.mean(-1, keepdim=True),
+            reward=mean_of_living(reward, state.alive).unsqueeze(-1),
             done=terminated | truncated,
             terminated=terminated,
             truncated=truncated,
@@ -192,7 +205,7 @@ class ExplorationEnv(EnvBase):
         if self.terminate_at_coverage == 1:
             return record.complete
         targets = world.num_targets(state.target)
-        largest = targets - state.missing.amin(-1)
+        largest = largest_of_living(targets.unsqueeze(-1) - state.missing, state.alive)
         return largest >= mapping.cells_of_share(self.terminate_at_coverage, targets)
 
     def _observe(self, **root: Tensor) -> TensorDict:
@@ -204,6 +217,7 @@ class ExplorationEnv(EnvBase):
             {
                 "map": state.map,
                 "position": state.position,
+                "alive": state.alive,
                 "unshared": state.unshared,
                 "steps_since_merge": state.steps_since_merge,
                 "linked": state.linked,
@@ -214,10 +228,13 @@ class ExplorationEnv(EnvBase):
             batch_size=group,
             device=self.device,
         )
+        if config.num_walkers:
+            root["walkers"] = state.walkers
         return TensorDict(
             {
                 "obstacles": state.obstacles,
                 "step_count": state.step_count,
+                "draw_key": state.draw_key,
                 "agents": agents,
                 **root,
             },
@@ -228,7 +245,7 @@ class ExplorationEnv(EnvBase):
     # ---------------------------------------------------------------- to look at
 
     def render(self, mode: RenderMode = "ansi", arena: int = 0) -> str | NDArray[np.uint8]:
-        """The union of the robots' maps in one arena, as text or as an image.
+        """The union of the living robots' maps in one arena, as text or as an image.
 
         Args:
             mode: "ansi", a line of text per row, or "rgb_array", uint8 [16 H, 16 W, 3].
@@ -238,10 +255,20 @@ class ExplorationEnv(EnvBase):
             ValueError: for another mode or arena.
             RuntimeError: before the first reset.
         """
+        return picture(self.team(arena), mode)
+
+    def team(self, arena: int = 0) -> Team:
+        """What a picture shows of one arena.
+
+        Raises:
+            ValueError: for another arena.
+            RuntimeError: before the first reset.
+        """
         state = self._now.world
         require_integer("arena", arena, 0)
         require(arena < self.num_envs, "arena", arena, f"there are {self.num_envs} arenas")
-        return picture(state.map[arena].cpu(), state.position[arena].cpu(), mode)
+        shown = (state.map, state.position, state.alive, state.walkers)
+        return Team(*(entry[arena].cpu() for entry in shown))
 
     def __repr__(self) -> str:
         config = self.config
@@ -269,7 +296,7 @@ class ExplorationEnv(EnvBase):
         Raises:
             ValueError: when the entries are not those of this environment.
         """
-        state = loaded_state(self.config, self.full_state_spec, state_dict)
+        state = loaded_state(self.config, self.full_state_spec, state_dict, self._keys)
         self._seed = state_dict["seed"]
         self._episode = state_dict["episode"].to(self.device)
         self._enter(state and state.apply(lambda x: x.to(self.device)))

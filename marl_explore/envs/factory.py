@@ -10,10 +10,10 @@ from torchrl.envs import TransformedEnv
 from marl_explore.arenas import Generator
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
+from marl_explore.core.native import Backend
 from marl_explore.core.rewards import Reward
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.transforms.features import make_features
-from marl_explore.transforms.frontier import Backend
 
 
 def make_env(

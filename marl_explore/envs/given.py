@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from operator import index
 from typing import Any
 
@@ -17,6 +17,7 @@ from marl_explore.config.checks import require
 from marl_explore.core import world
 from marl_explore.core.grid import NUM_ACTIONS
 from marl_explore.core.links import links
+from marl_explore.core.radio import reaches
 from marl_explore.envs.state import EpisodeState
 
 ACTION: NestedKey = ("agents", "action")
@@ -32,6 +33,15 @@ _WORLD_KEYS: dict[NestedKey, str] = {
     "step_count": "step_count",
 }
 _START_KEYS: tuple[NestedKey, NestedKey] = ("obstacles", ("agents", "position"))
+_OPTIONAL_KEYS: dict[NestedKey, str] = {
+    ("agents", "alive"): "alive",
+    "walkers": "walkers",
+    "draw_key": "draw_key",
+}
+
+
+DrawKeys = Callable[[int, Tensor], Tensor]
+"""From a seed and episodes int64 [B] to the keys of their random events, int64 [B, 1]."""
 
 
 def as_integer(value: Any) -> int | None:
@@ -85,40 +95,52 @@ def _first_value(action: Tensor) -> str:
     return f", such as {action.flatten()[0].item()}" if action.numel() else ""
 
 
-def given_state(config: ArenaConfig, spec: Composite, given: TensorDictBase | None) -> EpisodeState:
+def given_state(
+    config: ArenaConfig, spec: Composite, given: TensorDictBase | None, draw_key: Tensor
+) -> EpisodeState:
     """The state in a TensorDict: given starts, or all of an episode in progress.
+
+    Robots that are alive, cells of walkers and keys of random events may be given as well; else all
+    live, walkers are drawn, and the keys are ``draw_key`` [B, 1].
 
     Raises:
         ValueError: when entries are missing, of another dtype or shape, or contradict each other.
     """
-    entries = {} if given is None else _state_entries(given)
+    entries = {} if given is None else _entries(given, _WORLD_KEYS)
     missing = [key for key in _WORLD_KEYS if key not in entries]
     if any(key in missing for key in _START_KEYS) or (missing and len(entries) > len(_START_KEYS)):
         raise ValueError(
             f"reset(set_state=True) needs {_START_KEYS} to start an episode, or all of "
             f"{tuple(_WORLD_KEYS)} to continue one; missing: {missing}"
         )
-    for key, value in entries.items():
+    optional = {} if given is None else _entries(given, _OPTIONAL_KEYS)
+    if not config.num_walkers and "walkers" in optional:
+        raise ValueError("reset(set_state=True): 'walkers' is not allowed with num_walkers=0")
+    for key, value in {**entries, **optional}.items():
         require_like("reset(set_state=True)", key, value, spec[key])
     obstacles, position = (entries[key] for key in _START_KEYS)
-    world.check_starts(obstacles, position)
+    world.check_starts(obstacles, position, optional.get("walkers"))
+    every = {**_WORLD_KEYS, **_OPTIONAL_KEYS}
+    parts = {every[key]: value.clone() for key, value in {**entries, **optional}.items()}
+    parts.setdefault("draw_key", draw_key)
     if missing:
-        return EpisodeState.at_rest(world.start(config, obstacles, position), first=True)
-    world.check_maps(obstacles, position, entries["agents", "map"])
-    parts = {name: entries[key].clone() for key, name in _WORLD_KEYS.items()}
-    resumed = world.resume(config, parts.pop("obstacles"), parts.pop("position"), **parts)
+        return EpisodeState.at_rest(world.start(config, **parts), first=True)
+    resumed = world.resume(config, **parts)
+    world.check_maps(obstacles, position, resumed.map, resumed.alive)
     return EpisodeState.at_rest(resumed, first=False)
 
 
-def _state_entries(tensordict: TensorDictBase) -> dict[NestedKey, Tensor]:
-    found = {key: tensordict.get(key, None) for key in _WORLD_KEYS}
+def _entries(tensordict: TensorDictBase, keys: Mapping[NestedKey, str]) -> dict[NestedKey, Tensor]:
+    found = {key: tensordict.get(key, None) for key in keys}
     return {key: value for key, value in found.items() if value is not None}
 
 
 def loaded_state(
-    config: ArenaConfig, spec: Composite, state_dict: Mapping[str, Any]
+    config: ArenaConfig, spec: Composite, state_dict: Mapping[str, Any], draw_keys: DrawKeys
 ) -> EpisodeState | None:
     """The state in a ``state_dict`` of an environment; None: it was made before the first reset.
+
+    ``draw_keys`` are for a state of a version without random events.
 
     Raises:
         ValueError: when the entries are not those of this environment.
@@ -127,9 +149,7 @@ def loaded_state(
     started = len(state_dict) > len(names)
     if started:
         names.update(EpisodeState.names())
-        if "linked" not in state_dict:  # version 0.1 had no such entry
-            linked = links(config, state_dict["position"], state_dict["obstacles"])
-            state_dict = {**state_dict, "linked": linked}
+        state_dict = _completed(config, state_dict, draw_keys)
     if set(state_dict) != names:
         raise ValueError(
             f"state_dict holds {sorted(state_dict)}, expected {sorted(names)} "
@@ -146,6 +166,30 @@ def loaded_state(
     for name, like in _blank(config, spec).tensors().items():
         require_like("state_dict", name, state_dict[name], like)
     return EpisodeState.from_tensors(state_dict)
+
+
+def _completed(
+    config: ArenaConfig, state: Mapping[str, Any], draw_keys: DrawKeys
+) -> Mapping[str, Any]:
+    """A state of an older version with the entries that it lacks.
+
+    Raises:
+        ValueError: naming a setting that the older version did not have.
+    """
+    if not {"position", "obstacles", "known", "seed", "episode"} <= set(state):
+        return state  # refused by its names
+    added: dict[str, Tensor] = {}
+    if "linked" not in state:  # version 0.1
+        reach = reaches(config, draw_keys(state["seed"], state["episode"]))
+        added["linked"] = links(config, state["position"], state["obstacles"], reach)
+    if not {"alive", "walkers", "draw_key", "reach"} & set(state):
+        config.require_as_in_paper("the state_dict is of an older version")
+        batch = state["position"].shape[:-2]
+        added["alive"] = torch.ones_like(state["known"], dtype=torch.bool)
+        added["walkers"] = state["position"].new_zeros(*batch, 0, 2)
+        added["draw_key"] = draw_keys(state["seed"], state["episode"])
+        added["reach"] = state["position"].new_zeros(*batch, 0, 0)
+    return {**state, **added}
 
 
 def _blank(config: ArenaConfig, spec: Composite) -> EpisodeState:

@@ -51,12 +51,16 @@ def exploration_specs(
 
     def world() -> tuple[dict[str, Any], dict[str, Any]]:
         """The state's entries of the root and of the group, newly created for every spec."""
+        walkers = {"walkers": cell(config.num_walkers)} if config.num_walkers else {}
         return {
             "obstacles": flag(*size),
             "step_count": Unbounded(shape=(*batch_size, 1), dtype=torch.int64, device=device),
+            "draw_key": Unbounded(shape=(*batch_size, 1), dtype=torch.int64, device=device),
+            **walkers,
         }, {
             "map": integer(-1, 1, robots, *size, dtype=torch.int8),
             "position": cell(robots),
+            "alive": flag(robots),
             "unshared": integer(0, cells, robots, robots),
             "steps_since_merge": integer(0, NEVER, robots, robots),
         }

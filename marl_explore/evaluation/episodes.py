@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import chain
 from typing import Any
 
 import torch
@@ -14,7 +15,14 @@ from torchrl.envs import step_mdp
 from marl_explore.arenas import Generator, default_config, default_steps, in_order
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
-from marl_explore.core.mapping import known_mask, target_cells, union_of
+from marl_explore.core.links import any_linked
+from marl_explore.core.mapping import (
+    finishable,
+    known_mask,
+    known_targets,
+    target_cells,
+    union_of,
+)
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.envs.memory import require_env_memory
 from marl_explore.evaluation.metrics import Episodes, Snapshot, snapshot
@@ -23,9 +31,9 @@ from marl_explore.utils.memory import require_memory
 Actor = Callable[[TensorDictBase], TensorDictBase]
 
 TEST_STREAM = "test"
-BYTES_PER_STEP = 42
+BYTES_PER_STEP = 60
 """Of a robot's step in ``Episodes``."""
-EVENTS = ("dangerous", "merged", "discovered", "received")
+EVENTS = ("position", "dangerous", "merged", "discovered", "received", "alive")
 
 
 def play(
@@ -171,20 +179,26 @@ def measure_steps(
     episode = iter(observations)
     start = next(episode)
     target = target_cells(start["obstacles"], start["agents", "position"])
-    maps = [snapshot(_measured(start, shared), target)]
-    events = {key: [start["agents", key]] for key in EVENTS}
+    maps: list[Snapshot] = []
+    events: dict[str, list[Tensor]] = {key: [] for key in (*EVENTS, "linked")}
     actions = []
-    for observation in episode:
-        agents = observation["agents"]
-        maps.append(snapshot(_measured(observation, shared), target))
-        actions.append(agents["action"])
-        for key, values in events.items():
-            values.append(agents[key])
+    for observation in chain((start,), episode):
+        agents, grid = observation["agents"], _measured(observation, shared)
+        alive = agents["alive"]
+        maps.append(snapshot(grid, target, alive))
+        if observation is not start:
+            actions.append(agents["action"])
+        for key in EVENTS:
+            events[key].append(agents[key])
+        events["linked"].append(any_linked(agents["linked"]))
+    knowing = known_targets(known_mask(union_of(grid).unsqueeze(-3)), target).squeeze(-1)
     return Episodes(
         maps=Snapshot(*(torch.stack(entry, 1) for entry in zip(*maps, strict=True))),
         action=torch.stack(actions, 1),
         **{key: torch.stack(values, 1) for key, values in events.items()},
         num_targets=target.flatten(-2).sum(-1),
+        finishable=finishable(start["obstacles"], agents["position"], alive, grid, target),
+        lost_targets=knowing - maps[-1].union_targets,
         num_cells=config.num_cells,
         cell_size=config.cell_size,
         max_discovery=config.max_discovery,

@@ -12,9 +12,12 @@ from torch import Tensor
 
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
 from marl_explore.core.mapping import cells_of_share, known_cells, known_mask, known_targets
+from marl_explore.core.survivors import largest_of_living, mean_of_living, smallest_of_living
 
 THRESHOLDS = (0.80, 0.90, 0.95, 0.99, 1.00)
 """Coverages for which the first step that reaches them is reported."""
+CELLS_PER_BYTE = 4
+"""Of a map that is sent: a cell is unknown, free or occupied."""
 COVERAGE_STEPS = (20, 50, 150)
 """Steps at which coverage is reported, in addition to the last."""
 
@@ -25,20 +28,27 @@ class Snapshot(NamedTuple):
     known_targets: Tensor
     """Target cells that each robot knows, int64 [B, N]."""
     union_targets: Tensor
-    """Target cells that some robot knows, int64 [B]."""
+    """Target cells that some living robot knows, int64 [B]."""
     known_cells: Tensor
     """|M_i|, int64 [B, N]."""
     union_cells: Tensor
     """Cells that some robot knows, int64 [B]."""
 
 
-def snapshot(grid: Tensor, target: Tensor) -> Snapshot:
-    """Count known cells and known target cells bool [B, H, W] of maps int8 [B, N, H, W]."""
+def snapshot(grid: Tensor, target: Tensor, alive: Tensor | None = None) -> Snapshot:
+    """Count known cells and known target cells bool [B, H, W] of maps int8 [B, N, H, W].
+
+    Args:
+        grid: maps of all robots.
+        target: the cells that are to be mapped.
+        alive: robots that have not failed, bool [B, N]; None: all.
+    """
     known = known_mask(grid)
     union = known.amax(-3, keepdim=True)
+    living = union if alive is None else (known * alive[..., None, None]).amax(-3, keepdim=True)
     return Snapshot(
         known_targets=known_targets(known, target),
-        union_targets=known_targets(union, target).squeeze(-1),
+        union_targets=known_targets(living, target).squeeze(-1),
         known_cells=known_cells(known),
         union_cells=known_cells(union).squeeze(-1),
     )
@@ -49,6 +59,8 @@ class Episodes(NamedTuple):
 
     maps: Snapshot
     """Counts with a time axis after B: [B, T + 1, N] or [B, T + 1]."""
+    position: Tensor
+    """(row, column), int64 [B, T + 1, N, 2]."""
     action: Tensor
     """int64 [B, T, N]."""
     dangerous: Tensor
@@ -59,39 +71,54 @@ class Episodes(NamedTuple):
     """Own discoveries of each step, int64 [B, T + 1, N] (cells)."""
     received: Tensor
     """Cells that a merge added to each map, int64 [B, T + 1, N]."""
+    linked: Tensor
+    """Whether each robot is linked to another one, bool [B, T + 1, N]."""
     num_targets: Tensor
     """int64 [B]."""
+    finishable: Tensor
+    """Whether the living robots can still complete a map after the last step, bool [B]."""
+    lost_targets: Tensor
+    """Target cells that only robots that failed know after the last step, int64 [B]."""
     num_cells: int
     """H x W."""
     cell_size: float
     """D (metres)."""
-    max_discovery: int
-    """e_max."""
+    alive: Tensor
+    """Robots that have not failed, bool [B, T + 1, N]."""
+    max_discovery: int | tuple[int, ...]
+    """e_max; one per robot if they differ."""
 
     @property
     def horizon(self) -> int:
         """Steps T of every episode."""
         return self.action.shape[1]
 
+    @property
+    def acting(self) -> Tensor:
+        """Robots that were alive when they chose an action, bool [B, T, N]."""
+        return self.alive[:, :-1]
+
 
 def coverage(episodes: Episodes) -> dict[str, Tensor]:
     """Shares of the target cells that are known, float64 [B, T + 1] each.
 
-    "largest", "mean" and "smallest" over the robots' maps, and "merged" for their union.
+    "largest", "mean" and "smallest" over the maps of robots that have not failed, and "merged" for
+    their union; 0 without any.
     """
     targets = episodes.num_targets[:, None]
-    own = episodes.maps.known_targets / targets.unsqueeze(-1).double()
+    own, alive = episodes.maps.known_targets / targets.unsqueeze(-1).double(), episodes.alive
     return {
-        "largest": own.amax(-1),
+        "largest": largest_of_living(own, alive),
         "merged": episodes.maps.union_targets / targets.double(),
-        "mean": own.mean(-1),
-        "smallest": own.amin(-1),
+        "mean": mean_of_living(own, alive),
+        "smallest": smallest_of_living(own, alive),
     }
 
 
 def known_ratio(episodes: Episodes) -> Tensor:
     """The paper's ratio: cells of the largest map over H W, float64 [B, T + 1]."""
-    return episodes.maps.known_cells.amax(-1).double() / episodes.num_cells
+    largest = largest_of_living(episodes.maps.known_cells, episodes.alive)
+    return largest.double() / episodes.num_cells
 
 
 def steps_to(known: Tensor, targets: Tensor, share: float) -> Tensor:
@@ -109,7 +136,7 @@ def steps_to(known: Tensor, targets: Tensor, share: float) -> Tensor:
 
 def before_completion(episodes: Episodes) -> Tensor:
     """Steps taken while no map was complete, bool [B, T]."""
-    known = episodes.maps.known_targets.amax(-1)[:, :-1]
+    known = largest_of_living(episodes.maps.known_targets, episodes.alive)[:, :-1]
     return known < episodes.num_targets.unsqueeze(-1)
 
 
@@ -133,25 +160,25 @@ class Share(NamedTuple):
 
 
 def communication_share(episodes: Episodes, steps: Tensor | None = None) -> Share:
-    """Communicate actions over all actions.
+    """Communicate actions over all actions, of robots that have not failed.
 
     Args:
         episodes: B episodes.
         steps: bool [B, T], the steps to count; None: all.
     """
-    communicating = episodes.action == COMMUNICATE
-    return _share(communicating, torch.ones_like(communicating), steps)
+    return _share(episodes.action == COMMUNICATE, episodes.acting, steps)
 
 
 def useful_share(episodes: Episodes, steps: Tensor | None = None) -> Share:
     """Communicate actions that enlarged the sender's map over all, including lone ones."""
-    communicating = episodes.action == COMMUNICATE
-    return _share(communicating & (episodes.received[:, 1:] > 0), communicating, steps)
+    communicating = (episodes.action == COMMUNICATE) & episodes.acting
+    return _share(episodes.received[:, 1:] > 0, communicating, steps)
 
 
 def dangerous_share(episodes: Episodes) -> Share:
     """Refused moves over chosen moves."""
-    return _share(episodes.dangerous[:, 1:], episodes.action < NUM_DIRECTIONS)
+    moves = (episodes.action < NUM_DIRECTIONS) & episodes.acting
+    return _share(episodes.dangerous[:, 1:], moves)
 
 
 def enlarging_share(episodes: Episodes) -> Share:
@@ -161,14 +188,21 @@ def enlarging_share(episodes: Episodes) -> Share:
 
 def large_enlargement_share(episodes: Episodes) -> Share:
     """Enlargements of more than e_max cells over those of at least one."""
-    return _share(episodes.received > episodes.max_discovery, episodes.received > 0)
+    most = torch.tensor(episodes.max_discovery, device=episodes.received.device)
+    return _share(episodes.received > most, episodes.received > 0)
+
+
+def unlinked_share(episodes: Episodes) -> Share:
+    """Steps of living robots without any link over all of their steps."""
+    alive = episodes.alive[:, 1:]
+    return _share(alive & ~episodes.linked[:, 1:], alive)
 
 
 def _share(part: Tensor, whole: Tensor, steps: Tensor | None = None) -> Share:
-    """The share of events bool [B, T, N] at the steps bool [B, T] to count."""
+    """The share of the events ``whole`` bool [B, T, N] that ``part`` has, at the steps to count."""
     if steps is not None:
-        part, whole = part & steps.unsqueeze(-1), whole & steps.unsqueeze(-1)
-    return Share(part.flatten(1).sum(-1), whole.flatten(1).sum(-1))
+        whole = whole & steps.unsqueeze(-1)
+    return Share((part & whole).flatten(1).sum(-1), whole.flatten(1).sum(-1))
 
 
 def enlargements(episodes: Episodes) -> Tensor:
@@ -182,6 +216,15 @@ def cells_sent(episodes: Episodes) -> Tensor:
     return (own * episodes.merged).sum(-1).cumsum(-1)
 
 
+def bytes_sent(episodes: Episodes) -> Tensor:
+    """What all communicate actions send, int64 [B] (bytes): a whole map, two bits per cell.
+
+    A robot sends whether or not anyone hears it.
+    """
+    sent = ((episodes.action == COMMUNICATE) & episodes.acting).flatten(1).sum(-1)
+    return sent * -(-episodes.num_cells // CELLS_PER_BYTE)
+
+
 def cells_received(episodes: Episodes) -> Tensor:
     """Cells that merges added to maps, int64 [B]."""
     return episodes.received.flatten(1).sum(-1)
@@ -189,9 +232,9 @@ def cells_received(episodes: Episodes) -> Tensor:
 
 def distance_travelled(episodes: Episodes) -> Tensor:
     """Path length of all robots, float64 [B] (metres): D per straight, sqrt(2) D per diagonal."""
-    moved = (episodes.action < NUM_DIRECTIONS) & ~episodes.dangerous[:, 1:]
-    diagonal = moved & (episodes.action % 2 == 1)
-    cells = moved.flatten(1).sum(-1) + (2**0.5 - 1) * diagonal.flatten(1).sum(-1).double()
+    sides = episodes.position.diff(dim=1).abs().sum(-1).flatten(1)  # 0, 1, or 2 for a diagonal
+    moved, diagonal = (sides > 0).sum(-1), (sides > 1).sum(-1)
+    cells = moved + (2**0.5 - 1) * diagonal.double()
     return cells * episodes.cell_size
 
 
@@ -212,13 +255,15 @@ def shares(episodes: Episodes) -> dict[str, Share]:
         "enlarging_share": enlarging_share(episodes),
         "large_enlargement_share": large_enlargement_share(episodes),
         "dangerous_share": dangerous_share(episodes),
+        "unlinked_share": unlinked_share(episodes),
     }
 
 
 def per_episode(episodes: Episodes) -> dict[str, Tensor]:
     """Times, coverages and cells of every episode by name, float64 [B] each."""
     maps, targets = episodes.maps, episodes.num_targets
-    largest, smallest = maps.known_targets.amax(-1), maps.known_targets.amin(-1)
+    largest = largest_of_living(maps.known_targets, episodes.alive)
+    smallest = smallest_of_living(maps.known_targets, episodes.alive)
     curves = coverage(episodes)
     scores: dict[str, Tensor] = {}
     for share in THRESHOLDS:
@@ -226,7 +271,7 @@ def per_episode(episodes: Episodes) -> dict[str, Tensor]:
         scores[f"steps_to_{percent}"] = steps_to(largest, targets, share)
         scores[f"merged_steps_to_{percent}"] = steps_to(maps.union_targets, targets, share)
     scores["steps_to_all_complete"] = steps_to(smallest, targets, 1.0)
-    scores["complete"] = largest[:, -1] == targets
+    scores["complete"] = (largest == targets.unsqueeze(-1)).any(-1)
     for step in (*COVERAGE_STEPS, episodes.horizon):
         if step <= episodes.horizon:
             scores[f"coverage_at_{step}"] = curves["largest"][:, step]
@@ -235,8 +280,12 @@ def per_episode(episodes: Episodes) -> dict[str, Tensor]:
         "final_known_ratio": known_ratio(episodes)[:, -1],
         "cells_sent": cells_sent(episodes)[:, -1],
         "cells_received": cells_received(episodes),
+        "bytes_sent": bytes_sent(episodes),
         "distance_m": distance_travelled(episodes),
         "overlap": overlap(episodes),
+        "failed_robots": (~episodes.alive[:, -1]).sum(-1),
+        "knowledge_lost": episodes.lost_targets / targets.double(),
+        "finishable": episodes.finishable,
     }
     return {name: score.double() for name, score in scores.items()}
 

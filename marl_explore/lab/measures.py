@@ -11,6 +11,7 @@ from marl_explore.config.constants import NUM_DIRECTIONS, UNKNOWN
 from marl_explore.core.links import links
 from marl_explore.core.mapping import target_cells
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
+from marl_explore.core.radio import reaches
 from marl_explore.core.sensing import bordered, surroundings
 from marl_explore.evaluation import metrics
 
@@ -62,10 +63,10 @@ class LabRecord:
         Each step starts from the true cells of the robots.
         """
         config, before = self.config, self.cells[:, :-1]
-        walls = bordered(self.obstacles, config.fov_radius).unsqueeze(1)
-        walls = walls.expand(-1, before.shape[1], -1, -1)
-        view = surroundings(walls, before, config.fov_radius, config.occlusion)
-        linked = links(config, before, self.obstacles)
+        obstacles = self.obstacles.unsqueeze(1).expand(-1, before.shape[1], -1, -1)
+        view = surroundings(bordered(obstacles, config.fov_radius), before, config.sight)
+        reach = reaches(config, before.new_zeros(*before.shape[:2], 1))
+        linked = links(config, before, obstacles, reach)
         allowed = action_mask(open_moves(view), linked)
         refused = dangerous_moves(allowed, before, self.actions)
         expected = move(before, self.actions, refused)

@@ -24,15 +24,17 @@ from marl_explore.planners.rendezvous import Rendezvous
 
 PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "random": lambda config: RandomWalk(),
-    "nearest": lambda config: NearestFrontier(never),
-    "nearest-timer": lambda config: NearestFrontier(PairTimer(6)),
-    "fpr-greedy": lambda config: FPRGreedy(PairTimer(5)),
-    "utility-cost": lambda config: FrontierAssignment(PairTimer(6), UtilityCost(0.1)),
-    "sequential": lambda config: FrontierAssignment(PairTimer(5), UtilityCost(0.1, by_number=True)),
-    "hungarian": lambda config: FrontierAssignment(PairTimer(5), hungarian),
+    "nearest": lambda config: NearestFrontier(never, config),
+    "nearest-timer": lambda config: NearestFrontier(PairTimer(6), config),
+    "fpr-greedy": lambda config: FPRGreedy(PairTimer(5), config),
+    "utility-cost": lambda config: FrontierAssignment(PairTimer(6), UtilityCost(0.1), config),
+    "sequential": lambda config: FrontierAssignment(
+        PairTimer(5), UtilityCost(0.1, by_number=True), config
+    ),
+    "hungarian": lambda config: FrontierAssignment(PairTimer(5), hungarian, config),
     "hedac": lambda config: HEDAC(PairTimer(5), config),
     "rendezvous": lambda config: Rendezvous(config, SharedClock(14, 3, early=(8,)), memory_steps=3),
-    "goal-utility": lambda config: GoalUtility(config.fov_radius),
+    "goal-utility": lambda config: GoalUtility(config.sight, config=config),
     "central": Central,
     "clairvoyant": Clairvoyant,
 }

@@ -8,9 +8,11 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.core.motion import give_way
 from marl_explore.planners.communication import CommunicationRule
+from marl_explore.planners.hindrances import Hindrances
 
 
 class Planner(TensorDictModuleBase):
@@ -18,10 +20,12 @@ class Planner(TensorDictModuleBase):
 
     A robot whose last move was refused, or whose planned move is not allowed, makes a random
     allowed move instead. Without this yield rule two robots that want to pass each other would
-    block each other.
+    block each other. In wider worlds plans lead around what blocks the way but is on no map, robots
+    whose messages get lost go on alone, and refusals wait for the next turn (``Hindrances``).
 
     Args:
         communicate: when a robot communicates.
+        config: the arena, for what a wider world needs; None: the paper's world.
     """
 
     in_keys: list[NestedKey] = [  # noqa: RUF012 - TensorDict modules declare their keys like this
@@ -39,6 +43,7 @@ class Planner(TensorDictModuleBase):
                 "linked",
             )
         ),
+        ("agents", "observation", "fov"),
     ]
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
 
@@ -49,9 +54,10 @@ class Planner(TensorDictModuleBase):
     shares_maps: bool = False
     """Whether it is measured as if all maps were shared at no cost."""
 
-    def __init__(self, communicate: CommunicationRule) -> None:
+    def __init__(self, communicate: CommunicationRule, config: ArenaConfig | None = None) -> None:
         super().__init__()
         self.communicate = communicate
+        self._hindrances = Hindrances(config)
 
     @abstractmethod
     def plan(self, tensordict: TensorDictBase) -> Tensor:
@@ -59,7 +65,9 @@ class Planner(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
-        mask, refused = (tensordict.get(("agents", key)) for key in ("action_mask", "dangerous"))
-        action = give_way(self.plan(tensordict), mask, refused)
-        action = action.masked_fill(self.communicate(tensordict), COMMUNICATE)
+        seen = self._hindrances.seen(tensordict)
+        refused = self._hindrances.refused(tensordict)
+        action = give_way(self.plan(seen), seen.get(("agents", "action_mask")), refused)
+        action = action.masked_fill(self.communicate(seen), COMMUNICATE)
+        self._hindrances.note(action)
         return tensordict.set(("agents", "action"), action)

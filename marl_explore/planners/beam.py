@@ -14,10 +14,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import NUM_DIRECTIONS, STAY, flat_cell
 from marl_explore.core.mapping import closed_diagonals
+from marl_explore.core.native import Backend
+from marl_explore.core.native import beam as kernel
 from marl_explore.core.wavefront import path_distances
-from marl_explore.planners.grid_tables import GridTables, cell_hashes, grid_tables
+from marl_explore.planners.grid_tables import (
+    GridTables,
+    all_hashes,
+    cell_hashes,
+    grid_tables,
+    seen_windows,
+)
 
 _MOVES = NUM_DIRECTIONS + 1  # and STAY
 _HIDDEN = torch.iinfo(torch.int16).max
@@ -70,6 +79,8 @@ class Problem(NamedTuple):
     """How many unknown cells each of them represents, float32 [M]."""
     distance: Tensor
     """Moves from all cells to those, int16 [M, C, U]."""
+    visible: Tensor | None
+    """``seen_windows`` of each robot, bool [M, N, C, (2k + 1)^2]; None: all of every window."""
 
     def away(self, cell: Tensor) -> Tensor:
         """Moves from cells int64 [M, ...] to the targets, int16 [M, ..., U]."""
@@ -77,6 +88,19 @@ class Problem(NamedTuple):
         first = cells * torch.arange(count, device=cell.device)
         row = cell + first.view(-1, *[1] * (cell.ndim - 1))
         return self.distance.flatten(0, 1).index_select(0, row.flatten()).view(*cell.shape, -1)
+
+    def seen_from(self, robot: int, cell: Tensor) -> tuple[Tensor, Tensor]:
+        """Cells that a robot sees from cells [M, ...], others replaced by those themselves.
+
+        Returns:
+            int64 [M, ..., (2k + 1)^2], and which of them it sees, bool.
+        """
+        cells = self.tables.seen[cell]
+        if self.visible is None:
+            return cells, self.tables.window[cell]
+        rows = torch.arange(len(cell), device=cell.device).view(-1, *[1] * (cell.ndim - 1))
+        seen = self.visible[rows, robot, cell]
+        return torch.where(seen, cells, cell.unsqueeze(-1)), seen
 
 
 @dataclass(frozen=True)
@@ -88,24 +112,30 @@ class BeamSearch:
         horizon: number of steps to look ahead.
         discount: factor per step for cells seen later.
         distance_weight: cost of an unknown cell's distance to the nearest robot (1 / moves).
+        backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible). The
+            plans are equal.
     """
 
     width: int = 24
     horizon: int = 10
     discount: float = 0.95
     distance_weight: float = 0.1
+    backend: Backend = "auto"
 
     def first_moves(
-        self, unknown: Tensor, occupied: Tensor, position: Tensor, present: Tensor, radius: int
+        self, unknown: Tensor, occupied: Tensor, position: Tensor, present: Tensor, sight: Sight
     ) -> tuple[Tensor, Tensor]:
         """The first move of every robot in the best plan.
+
+        Robots expect to see the cells of their own shapes; where obstacles end sight, those that
+        they would see if unknown cells were free.
 
         Args:
             unknown: unknown cells worth seeing, bool [M, H, W].
             occupied: cells known to be obstacles, bool [M, H, W].
             position: int64 [M, N, 2].
             present: participating robots, bool [M, N].
-            radius: half side of the field of view (cells).
+            sight: of the N robots.
 
         Returns:
             Directions or STAY, int64 [M, N]; and whether the plan sees any unknown cell, bool [M].
@@ -123,34 +153,84 @@ class BeamSearch:
                 if len(rows):
                     team = (rows.unsqueeze(-1), members[rows, :robots])
                     first[team], fruitful[rows] = self._search(
-                        unknown[rows], occupied[rows], position[team], radius
+                        unknown[rows], occupied[rows], position[team], sight, team[1]
                     )
         return first, fruitful
 
     def _search(
-        self, unknown: Tensor, occupied: Tensor, position: Tensor, radius: int
+        self, unknown: Tensor, occupied: Tensor, position: Tensor, sight: Sight, member: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """``first_moves`` of teams in which every robot participates."""
+        """``first_moves`` of teams in which every robot participates, numbers ``member`` [M, N]."""
         height, width = unknown.shape[-2:]
-        tables = grid_tables(height, width, radius, unknown.device)
+        tables = grid_tables(height, width, sight.radius, unknown.device)
         target, share = _targets(unknown.flatten(1))
         distance = path_distances(~occupied, target, LONGEST).short().contiguous()
-        problem = Problem(tables, occupied.flatten(1), target, share, distance)
+        visible = None
+        if not sight.fills_windows:
+            visible = seen_windows(tables, occupied.flatten(1), sight)
+            rows = torch.arange(len(member), device=member.device).unsqueeze(-1)
+            visible = visible[rows, member % visible.shape[1]]
+        problem = Problem(tables, occupied.flatten(1), target, share, distance, visible)
         plans = _start(unknown.flatten(1), flat_cell(position, width))
+        search = self._in_c if kernel.in_use(self.backend, unknown.device) else self._in_torch
+        plans = search(problem, plans)
+        return plans.first[:, 0], plans.seen[:, 0] > 0
+
+    def _in_torch(self, problem: Problem, plans: Plans) -> Plans:
+        """The best plans, from the initial ones."""
         weight = 1.0
         for step in range(self.horizon):
             plans = plans._replace(before=plans.cell.clone())
-            for robot in range(position.shape[-2]):
-                plans, move = self._turn(problem, plans, robot, weight)
-                if step == 0:
-                    plans.first[..., robot] = move
+            for robot in range(plans.cell.shape[-1]):
+                plans = self._turn(problem, plans, robot, weight, step == 0)
             weight *= self.discount
-        return plans.first[:, 0], plans.seen[:, 0] > 0
+        return plans
+
+    def _in_c(self, problem: Problem, plans: Plans) -> Plans:
+        """``_in_torch`` in C, equal in every bit."""
+        tables, robots = problem.tables, plans.cell.shape[-1]
+        hashes = all_hashes(1 + 2 * robots, plans.unknown.shape[-1], plans.code.device)
+        given = (
+            *(problem.occupied, problem.target, problem.share, problem.distance, problem.visible),
+            *(tables.near, tables.inside, tables.seen, tables.window, tables.place, hashes),
+        )
+        search = kernel.Search(plans, given, self.width)
+        weight = 1.0
+        for step in range(self.horizon):
+            search.begin_step()
+            for robot in range(robots):
+                of_distance = weight * self.distance_weight
+                search.take_turn(robot, step == 0, weight, of_distance, _FAVOUR)
+            weight *= self.discount
+        return Plans(*search.plans)
 
     def _turn(
+        self, problem: Problem, plans: Plans, robot: int, weight: float, is_first: bool
+    ) -> Plans:
+        """The best plans after one robot's move, which is noted if it is the first one."""
+        value, seen, code = self._values(problem, plans, robot, weight)
+        best_value, best = value.topk(min(self.width, value.shape[1]))
+        plans, move = plans.of(best // _MOVES), best % _MOVES
+        cell = problem.tables.near[plans.cell[..., robot], move]
+        plans.cell[..., robot] = cell
+        if is_first:
+            plans.first[..., robot] = move
+        seen_cells, _ = problem.seen_from(robot, cell)
+        plans.unknown.scatter_(-1, seen_cells, 0)
+        return plans._replace(
+            code=code.gather(1, best),
+            seen=seen.gather(1, best).masked_fill(best_value == -torch.inf, -torch.inf),
+        )
+
+    def _values(
         self, problem: Problem, plans: Plans, robot: int, weight: float
-    ) -> tuple[Plans, Tensor]:
-        """The best plans after one robot's move, and that move, int64 [M, K]."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What is known of each move of a robot in each plan, [M, K 9] each.
+
+        Returns:
+            Its value, float32, -inf for moves that are not open and for all but the best of equal
+            plans; the discounted number of seen cells, float32; the hash of the others, int64.
+        """
         target = problem.tables.near[plans.cell[..., robot]]
         new, new_code = _new(problem, plans, robot)
         # cells about to be seen count as one move away
@@ -160,17 +240,8 @@ class BeamSearch:
         value[..., STAY] -= _FAVOUR
         value.masked_fill_(~_open_moves(problem, plans, robot, target), -torch.inf)
         code = plans.code.unsqueeze(-1) - new_code
-
         value = _once(value, code + _places(plans, robot, target))
-        best_value, best = value.topk(min(self.width, value.shape[1]))
-        plans = plans.of(best // _MOVES)
-        cell = target.flatten(1).gather(1, best)
-        plans.cell[..., robot] = cell
-        plans.unknown.scatter_(-1, problem.tables.seen[cell], 0)
-        return plans._replace(
-            code=code.flatten(1).gather(1, best),
-            seen=seen.flatten(1).gather(1, best).masked_fill(best_value == -torch.inf, -torch.inf),
-        ), best % _MOVES
+        return value, seen.flatten(1), code.flatten(1)
 
 
 def _targets(unknown: Tensor) -> tuple[Tensor, Tensor]:
@@ -198,11 +269,22 @@ def _start(unknown: Tensor, cell: Tensor) -> Plans:
 
 def _new(problem: Problem, plans: Plans, robot: int) -> tuple[Tensor, Tensor]:
     """Number of new cells that each move of a robot sees, float32 [M, K, 9], and their hash."""
+    if problem.visible is not None:
+        return _new_in_sight(problem, plans, robot)
     around = problem.tables.around[plans.cell[..., robot]]
     unknown = plans.unknown.gather(-1, around).clamp_max_(1).double()
     code = cell_hashes(0, plans.unknown.shape[-1], around.device)[around]
     number, code = torch.stack((unknown, unknown * code)) @ problem.tables.views
     return number.float(), code.long()
+
+
+def _new_in_sight(problem: Problem, plans: Plans, robot: int) -> tuple[Tensor, Tensor]:
+    """``_new`` where robots do not see all of their windows."""
+    cells, seen = problem.seen_from(robot, problem.tables.near[plans.cell[..., robot]])
+    unknown = plans.unknown.gather(-1, cells.flatten(2)).view(cells.shape) != 0
+    new = unknown & seen
+    code = cell_hashes(0, plans.unknown.shape[-1], cells.device)[cells]
+    return new.sum(-1).float(), (code * new).sum(-1)
 
 
 def _open_moves(problem: Problem, plans: Plans, robot: int, target: Tensor) -> Tensor:

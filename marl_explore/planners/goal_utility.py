@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import (
     CONTEXT_COLUMNS,
     GAIN_SQUARES,
@@ -16,8 +17,8 @@ from marl_explore.config.constants import (
     MATE_COLUMNS,
 )
 from marl_explore.config.goals import HALVES, LATEST_START, POCKET_FADE
+from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import COMMUNICATE
-from marl_explore.core.sensing import cells_in_view
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import never, others_linked
 from marl_explore.planners.goal_moves import follow, still_choices
@@ -40,9 +41,9 @@ class GoalWeights:
     log_moves: float = -0.06
     """Price of the logarithm of the moves."""
     near_gain: float = 2.015
-    """Share of unseen cells in the field of view there."""
+    """Unseen cells that the robot would see there, as a share of its sensor's cells."""
     middle_gain: float = -1.03
-    """The same of a square of twice the radius."""
+    """Share of unseen cells in a square of twice the radius."""
     far_gain: float = -1.155
     """The same of a square of four times the radius."""
     merged_cells: float = 0.581
@@ -52,11 +53,11 @@ class GoalWeights:
     isolation: float = 0.555
     """n / (n + 6) for the distance n to the next candidate."""
     last_goal: float = 0.109
-    """Whether it is within the field of view of the last goal."""
+    """Whether the last goal is at most the radius away."""
     ahead: float = -0.063
     """Cosine of the turn."""
     move_gain: float = 0.89
-    """Share of unseen cells in the field of view after the first move."""
+    """The same as ``near_gain`` after the first move."""
     linked_rival: float = 2.544
     """Price of linked teammates that are nearer."""
     rival_scale: float = 2.346
@@ -105,11 +106,15 @@ def frontier_utility(candidates: Candidates, terms: Tensor, weights: Tensor) -> 
     return value.masked_fill(moves == 0, NOT_CHOSEN)
 
 
-def place_terms(frontiers: Tensor, radius: int) -> Tensor:
-    """What the first eleven weights multiply, [*B, 24, 11], from frontiers [*B, 24, 14]."""
-    at = dict(zip(GOAL_COLUMNS, _real(frontiers).unbind(-1), strict=True))
+def place_terms(candidates: Candidates) -> Tensor:
+    """What the first eleven weights multiply, float32 [*B, 24, 11]."""
+    at = dict(zip(GOAL_COLUMNS, _real(candidates.frontiers).unbind(-1), strict=True))
     moves, turn, last = at["moves"].clamp_min(1), at["turn"], at["from_last_goal"]
-    near, middle, far = (cells_in_view(radius * factor) for factor in GAIN_SQUARES)
+    radius, near = (
+        _real(candidates.context)[..., CONTEXT_COLUMNS.index(name), None]
+        for name in ("radius", "shape_cells")
+    )
+    middle, far = ((2 * factor * radius + 1).square() for factor in GAIN_SQUARES[1:])
     return torch.stack(
         (
             -moves,
@@ -186,27 +191,33 @@ class GoalUtility(Planner):
     """Every robot goes to the candidate goal with the largest utility.
 
     Args:
-        radius: half side of the field of view (cells).
+        sight: of the robots (``ArenaConfig.sight``).
         weights: of the utility, also as a tensor [22], or others for each robot [*B, N, 22];
             None: those that a search found (docs/planners.md).
+        config: as for ``Planner``.
     """
 
     sees = "own map, positions of robots in range and where it saw them last, what was exchanged"
     in_keys = [*Planner.in_keys, ("agents", "observation", "fov")]  # noqa: RUF012
 
-    def __init__(self, radius: int, weights: GoalWeights | Tensor | None = None) -> None:
-        super().__init__(never)  # exchanges are part of the plan
+    def __init__(
+        self,
+        sight: Sight,
+        weights: GoalWeights | Tensor | None = None,
+        config: ArenaConfig | None = None,
+    ) -> None:
+        super().__init__(never, config)  # exchanges are part of the plan
         weights = GoalWeights() if weights is None else weights
-        self.radius = radius
+        self.sight = sight
         self.weights = weights.as_tensor() if isinstance(weights, GoalWeights) else weights
-        self._memory = RememberTeam(radius)
+        self._memory = RememberTeam(sight=sight)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """First moves to the goals, or COMMUNICATE, int64 [*B, N]."""
         known = self._memory(tensordict.select(*self.in_keys))
-        found = find_candidates(known)
+        found = find_candidates(known, self.sight)
         weights = self.weights.to(found.frontiers.device)
-        terms = place_terms(found.frontiers, self.radius)
+        terms = place_terms(found)
         utilities = frontier_utility(found, terms, weights), mate_utility(found, weights)
         best, choice = torch.cat(utilities, -1).max(-1)
         talk, stay = still_choices(found.mates.shape[-2])

@@ -5,14 +5,17 @@ After heat equation driven area coverage (Ivić, Crnković and Mezić 2017), on 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torch.nn.functional import conv2d
+from torch.nn.functional import conv2d, pad
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import frontier_mask
 from marl_explore.core.grid import (
+    COMPASS,
     NUM_DIRECTIONS,
     OCCUPIED,
     STAY,
@@ -21,6 +24,7 @@ from marl_explore.core.grid import (
     flat_cell,
 )
 from marl_explore.core.links import linked_others
+from marl_explore.core.mapping import target_cells
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import CommunicationRule
 
@@ -45,8 +49,9 @@ class HEDAC(Planner):
         loss: float = 0.05,
         sweeps: int | None = None,
     ) -> None:
-        super().__init__(communicate)
+        super().__init__(communicate, config)
         self.loss = loss
+        self.hides = config.line_of_sight
         self.sweeps = sweeps or 2 * (config.height + config.width)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
@@ -64,17 +69,52 @@ class HEDAC(Planner):
     def heat(self, grid: Tensor, position: Tensor, linked: Tensor) -> Tensor:
         """The heat of every robot's map, float32 [*B, N, H, W]."""
         *batch, robots, height, width = grid.shape
-        source = (grid == UNKNOWN).float().view(-1, 1, height, width)
+        unknown = grid == UNKNOWN
+        if self.hides:  # what walls enclose is never seen, and would attract robots forever
+            unknown = unknown & target_cells(grid == OCCUPIED, position.unsqueeze(-2))
+        source = unknown.float().view(-1, 1, height, width)
         conducts = (grid != OCCUPIED).float().view(-1, 1, height, width)
         others = linked_others(linked)
         cold = torch.zeros_like(grid).flatten(-2)
         cell = flat_cell(position, width).unsqueeze(-2).expand(*batch, robots, robots)
         cold.scatter_add_(-1, cell, others.to(grid.dtype))
         warm = conducts * (cold == 0).view_as(conducts)
-        kernel = conducts.new_ones(1, 1, 3, 3)
-        kernel[..., 1, 1] = 0
-        ways = conv2d(conducts, kernel, padding=1) + self.loss
+        spread = _through_open_diagonals(grid == OCCUPIED) if self.hides else _to_neighbors
+        ways = spread(conducts) + self.loss
         heat = source
         for _ in range(self.sweeps):
-            heat = (conv2d(heat, kernel, padding=1) / ways + source) * warm
+            heat = (spread(heat) / ways + source) * warm
         return heat.view_as(grid)
+
+
+def _to_neighbors(values: Tensor) -> Tensor:
+    """Sums over the eight neighbours, float32 [M, 1, H, W]."""
+    kernel = values.new_ones(1, 1, 3, 3)
+    kernel[..., 1, 1] = 0
+    return conv2d(values, kernel, padding=1)
+
+
+def _through_open_diagonals(occupied: Tensor) -> Callable[[Tensor], Tensor]:
+    """``_to_neighbors`` less those between which obstacles bool [*B, H, W] close the diagonal.
+
+    Robots that do not see through closed diagonals must not be attracted by what lies behind them.
+    """
+    height, width = occupied.shape[-2:]
+    walls = _shifted(occupied.reshape(-1, 1, height, width))
+    is_open = [~(walls[d - 1] & walls[(d + 1) % len(walls)]) for d in range(1, len(walls), 2)]
+
+    def spread(values: Tensor) -> Tensor:
+        beside = _shifted(values)
+        total = sum(beside[::2], torch.zeros_like(values))
+        for value, passes in zip(beside[1::2], is_open, strict=True):
+            total = total + value * passes
+        return total
+
+    return spread
+
+
+def _shifted(cells: Tensor) -> list[Tensor]:
+    """The neighbours of all cells [M, 1, H, W] in each of the eight directions; 0 outside."""
+    height, width = cells.shape[-2:]
+    padded = pad(cells, (1, 1, 1, 1))
+    return [padded[..., 1 + r : 1 + r + height, 1 + c : 1 + c + width] for r, c in COMPASS]

@@ -23,10 +23,11 @@ from marl_explore.core.memory import (
     Sightings,
     last_place,
     no_sightings,
-    seen_by,
-    sight,
+    surely_seen,
+    update_sightings,
     where_begun,
 )
+from marl_explore.core.motion import in_turn
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import CommunicationRule
@@ -64,8 +65,8 @@ class Rendezvous(Planner):
         patience_steps: int = PATIENCE_STEPS,
         answer: bool = True,
     ) -> None:
-        super().__init__(communicate)
-        self.radius = config.fov_radius
+        super().__init__(communicate, config)
+        self.sight, self.period = config.sight, config.move_period
         self.search = search or BeamSearch()
         self.memory_steps = memory_steps
         self.patience_steps = patience_steps
@@ -104,14 +105,18 @@ class Rendezvous(Planner):
         if left.any():
             nearest, length = nearest_frontier(grid[left], position[left])
             move[left] = torch.where(length > 0, nearest, STAY)
-        sight = self.search.horizon + self.radius
-        within = straight_distances(position, *grid.shape[-2:]) <= sight
+        reach = self.search.horizon + self.sight.radius
+        within = straight_distances(position, *grid.shape[-2:]) <= reach
         rows = left & (unknown & within).flatten(-2).any(-1)
         if rows.any():
             first, fruitful = self._joint_plan(rows, now, grid, unknown, position, seen)
             move[rows] = torch.where(fruitful, first, move[rows])
         if self.answer:
-            move = move.masked_fill((seen.waited & (since >= 2)).any(-1), COMMUNICATE)
+            waited = seen.waited & (since >= 2)
+            turn = in_turn(self.period, None, now - 1)
+            if turn is not None:  # who may not move is not waiting
+                waited = waited & turn.unsqueeze(-2)
+            move = move.masked_fill(waited.any(-1), COMMUNICATE)
         return move.view(*batch, -1)
 
     def _remember(self, now: Tensor, grid: Tensor, position: Tensor, linked: Tensor) -> Sightings:
@@ -122,9 +127,9 @@ class Rendezvous(Planner):
             before, self._covered = blank, torch.zeros_like(grid, dtype=torch.bool)
             self._idle = torch.zeros_like(position[..., 0])
         begun = (now == 0).squeeze(-1)
-        self._seen = seen = sight(where_begun(begun, blank, before), now, position, linked)
-        height, width = grid.shape[-2:]
-        views = seen_by(position, linked, height, width, self.radius).any(-3)
+        before = where_begun(begun, blank, before)
+        self._seen = seen = update_sightings(before, now, position, linked)
+        views = surely_seen(grid, position, linked, self.sight).any(-3)
         self._covered = (self._covered & ~begun[:, None, None, None]) | views
         return seen
 
@@ -150,7 +155,7 @@ class Rendezvous(Planner):
             window.cut(grid[rows] == OCCUPIED),
             torch.where(inside.unsqueeze(-1), place, 0),
             present & inside,
-            self.radius,
+            self.sight,
         )
         return first[mine, me], fruitful
 

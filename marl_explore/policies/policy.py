@@ -96,8 +96,9 @@ class Policy(TensorDictModuleBase):
 
     @property
     def any_team(self) -> bool:
-        """Whether it works for any number of robots."""
-        return self.config.shared and self.config.network.any_team
+        """Whether it works for any number of robots, all with the same sensor."""
+        equal = len(self.config.arena.sight.ranges_cells) == 1
+        return self.config.shared and self.config.network.any_team and equal
 
     def actor_of(self, robot: int) -> nn.Module:
         """The network of one robot."""

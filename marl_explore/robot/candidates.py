@@ -16,6 +16,7 @@ from marl_explore.config.constants import (
     NUM_DIRECTIONS,
     UNKNOWN,
 )
+from marl_explore.config.shapes import Sight
 from marl_explore.robot.goals import GoalFinder, GoalTable, Situation
 from marl_explore.robot.memory import TeamMemory
 from marl_explore.robot.observation import Observation
@@ -34,6 +35,8 @@ class Context(NamedTuple):
     all_covered: bool
     refused: bool
     may_communicate: bool
+    radius: int
+    shape_cells: int
 
 
 class Candidates(NamedTuple):
@@ -55,15 +58,15 @@ class CandidateFinder:
         robot: its number.
         robots: size of the team, N.
         shape: of the maps, (H, W).
-        radius: half side of the field of view (cells).
+        sight: of the robots.
 
     Raises:
-        RuntimeError: when the native kernel cannot be used.
+        RuntimeError: when a native kernel cannot be used.
     """
 
-    def __init__(self, robot: int, robots: int, shape: tuple[int, int], radius: int) -> None:
-        self.memory = memory = TeamMemory(robot, robots, *shape, radius)
-        self.shape, self.last_step = shape, -1
+    def __init__(self, robot: int, robots: int, shape: tuple[int, int], sight: Sight) -> None:
+        self.memory = memory = TeamMemory(robot, robots, *shape, sight)
+        self.shape, self.last_step, self._sight = shape, -1, sight.of(robot)
         self._situation = Situation(
             grid=np.empty(shape, np.int8),
             position=memory.position,
@@ -76,7 +79,7 @@ class CandidateFinder:
             heading=memory.heading,
             goal=memory.goal,
         )
-        self._goals = GoalFinder(self._situation, radius)
+        self._goals = GoalFinder(self._situation, self._sight)
         self._mates = np.empty((len(MATE_COLUMNS), robots), np.int64)
 
     def follows(self, observed: Observation) -> bool:
@@ -98,7 +101,10 @@ class CandidateFinder:
         table = self._goals.find()
         self.memory.all_covered = table.all_covered
         return Candidates(
-            table.frontiers, table.rivals, self._about(observed, table), _context(observed, table)
+            table.frontiers,
+            table.rivals,
+            self._about(observed, table),
+            _context(observed, table, self._sight),
         )
 
     def _about(self, observed: Observation, table: GoalTable) -> NDArray[np.int64]:
@@ -132,9 +138,9 @@ def taken_cells(observed: Observation) -> NDArray[np.bool_]:
     return taken
 
 
-def _context(observed: Observation, table: GoalTable) -> Context:
+def _context(observed: Observation, table: GoalTable, sight: Sight) -> Context:
     """``Candidates.context``."""
-    grid = observed.map
+    grid, (shape_cells,) = observed.map, sight.sizes
     return Context(
         step=observed.step,
         known_cells=int(np.count_nonzero(grid != UNKNOWN)),
@@ -143,4 +149,6 @@ def _context(observed: Observation, table: GoalTable) -> Context:
         all_covered=table.all_covered,
         refused=observed.refused,
         may_communicate=bool(observed.action_mask[COMMUNICATE]),
+        radius=sight.radius,
+        shape_cells=shape_cells,
     )

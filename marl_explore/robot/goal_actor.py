@@ -16,6 +16,7 @@ from marl_explore.config.constants import (
     NUM_DIRECTIONS,
     STAY,
 )
+from marl_explore.config.shapes import Sight
 from marl_explore.core import native
 from marl_explore.robot.candidates import CandidateFinder, Candidates
 from marl_explore.robot.goal_network import GoalNetwork
@@ -43,17 +44,17 @@ class GoalActor:
         weights: of the network by name, float32.
         options: of the network.
         robot: its number.
-        radius: half side of the field of view (cells).
+        sight: of the robots.
 
     Raises:
         ValueError, KeyError: as for ``GoalNetwork``.
         RuntimeError: when the native kernel cannot be used.
     """
 
-    def __init__(self, weights: Weights, options: dict[str, Any], robot: int, radius: int) -> None:
+    def __init__(self, weights: Weights, options: dict[str, Any], robot: int, sight: Sight) -> None:
         native.kernel("goals")
-        self.robot, self.radius = robot, radius
-        self.network = GoalNetwork(weights, options, radius)
+        self.robot, self.sight = robot, sight
+        self.network = GoalNetwork(weights, options)
         self._episode: CandidateFinder | None = None
 
     def blank(self) -> GoalActor:
@@ -71,7 +72,7 @@ class GoalActor:
         episode = self._episode
         if episode is None or not episode.follows(observed):
             robots = len(observed.net)
-            episode = CandidateFinder(self.robot, robots, observed.map.shape, self.radius)
+            episode = CandidateFinder(self.robot, robots, observed.map.shape, self.sight)
             self._episode = episode
         found = episode.find(observed)
         return Options(found, *self.network(found))

@@ -7,6 +7,7 @@ that the network's weights are used as they are.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -191,17 +192,13 @@ class FeatureScaling:
 
     Args:
         weights: of the utility, in the order of ``GoalWeights`` [22].
-        radius: half side of the field of view (cells).
         every: the robot may communicate every so many steps, besides when it is overdue.
         after: minimum steps since the last exchange with a linked robot before doing so.
     """
 
-    def __init__(self, weights: Array, radius: int, every: int, after: int) -> None:
-        self.radius, self.every, self.after = radius, every, after
+    def __init__(self, weights: Array, every: int, after: int) -> None:
+        self.every, self.after = every, after
         self._utility = Utility(weights)
-        squares = [(2 * factor * radius + 1) ** 2 for factor in GAIN_SQUARES]
-        self._gain_scales = _column(*(1 / cells for cells in squares))
-        self._move_scales = _column(1 / squares[0], 1)
 
     def __call__(self, found: Candidates) -> GoalFeatures:
         """Features of about unit size, the choices, and their prior."""
@@ -213,7 +210,7 @@ class FeatureScaling:
         links = _Links(int(np.count_nonzero(mates.linked)), longest)
         known = mates.seen.nonzero()[0]
         pairs, rivalry = self._pairs(found, table[_MOVES], rows[_ABOUT][:, known], known)
-        places = self._places(table, found.frontiers[:number, _TURN], rivalry)
+        places = self._places(table, found.frontiers[:number, _TURN], rivalry, own)
         utility = np.add.reduce(self._utility.places * places[TERMS]) - rivalry.price
         np.minimum(np.maximum(utility, -MOST_UTILITY), MOST_UTILITY, out=places[-1])
         visits = _visits(mates, own)
@@ -256,8 +253,10 @@ class FeatureScaling:
         about[1:] /= about[1:] + _ABOUT_HALVES
         return Pairs(about, beside), rivalry
 
-    def _places(self, table: Array, turn: NDArray[np.int32], rivalry: _Rivalry) -> Array:
+    @staticmethod
+    def _places(table: Array, turn: NDArray[np.int32], rivalry: _Rivalry, own: Context) -> Array:
         """``GoalFeatures.frontier`` without the utility."""
+        of_gains, of_move = _scales(own.radius, own.shape_cells)
         places = np.empty((len(COMPUTED), len(turn)), np.float32)
         moves, pocket, last = table[_MOVES], table[_POCKET], table[_LAST]
         shared = table[_SHARED_COLUMNS]
@@ -269,15 +268,23 @@ class FeatureScaling:
         np.log(one_over_moves, out=places[_ROW["-log"]])
         np.negative(moves, out=places[_ROW["-moves"]])
         np.multiply(one_over_moves, moves[:1], out=places[_ROW["nearest / moves"]])
-        np.multiply(table[_GAINS], self._gain_scales, out=places[_GAIN_ROWS])
-        np.multiply(table[_OF_MOVE], self._move_scales, out=places[_OF_MOVE_ROWS])
+        np.multiply(table[_GAINS], of_gains, out=places[_GAIN_ROWS])
+        np.multiply(table[_OF_MOVE], of_move, out=places[_OF_MOVE_ROWS])
         np.exp(pocket * (-1 / POCKET_FADE), out=places[_ROW["-exp"]])
         np.less_equal(pocket, SMALL_POCKET, out=places[_ROW["small pocket"]])
-        np.logical_and(last >= 0, last <= self.radius, out=places[_ROW["last_goal"]])
+        np.logical_and(last >= 0, last <= own.radius, out=places[_ROW["last_goal"]])
         places[_ROW["ahead"]] = _AHEAD[turn]
         np.equal(rivalry.linked_nearer, 0, out=places[_ROW["nearest of all"]])
         np.divide(rivalry.nearer, rivalry.nearer + HALVES["rivals"], out=places[_ROW["rivals"]])
         return places
+
+
+@lru_cache
+def _scales(radius: int, shape_cells: int) -> tuple[Array, Array]:
+    """What makes shares of gains, and of ``move_gain`` and ``move_allowed``."""
+    squares = [(2 * factor * radius + 1) ** 2 for factor in GAIN_SQUARES[1:]]
+    near = 1 / shape_cells
+    return _column(near, *(1 / cells for cells in squares)), _column(near, 1)
 
 
 _NO_VISIT = np.empty((MATE_SIZE, 0), np.float32)

@@ -36,7 +36,6 @@ class GoalNetwork:
         weights: of a ``GoalActor`` by name, float32.
         options: ``code_width``, ``pair_width``, ``refinement``, ``communicate_every`` and
             ``communicate_after`` of ``policies.networks.Goals``.
-        radius: half side of the field of view (cells).
 
     Raises:
         ValueError: when an option is not a number in its range, or a weight is missing, has
@@ -44,7 +43,7 @@ class GoalNetwork:
         KeyError: when an option is missing.
     """
 
-    def __init__(self, weights: Weights, options: dict[str, Any], radius: int) -> None:
+    def __init__(self, weights: Weights, options: dict[str, Any]) -> None:
         for name in ("code_width", "pair_width", "communicate_every"):
             require_integer(name, options[name], 1)
         require_integer("communicate_after", options["communicate_after"], 0)
@@ -53,7 +52,6 @@ class GoalNetwork:
         _check_shapes(weights, options["code_width"], options["pair_width"])
         self.features = FeatureScaling(
             weights["encoder.features.weights"],
-            radius,
             options["communicate_every"],
             options["communicate_after"],
         )

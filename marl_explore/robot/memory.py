@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from marl_explore.config.constants import COMPASS, NOT_SEEN, PATIENCE_STEPS, UNKNOWN
+from marl_explore.config.shapes import Sight
 from marl_explore.robot.observation import Observation
+from marl_explore.robot.visibility import surely_seen
 
 _DIRECTIONS = {step: direction for direction, step in enumerate(COMPASS)}
 
@@ -18,11 +20,12 @@ class TeamMemory:
         robots: size of the team, N.
         height: of the arena (cells).
         width: of the arena (cells).
-        radius: half side of the field of view (cells).
+        sight: of the robots.
     """
 
-    def __init__(self, robot: int, robots: int, height: int, width: int, radius: int) -> None:
-        self.robot, self.radius = robot, radius
+    def __init__(self, robot: int, robots: int, height: int, width: int, sight: Sight) -> None:
+        self.robot = robot
+        self._sights = [sight.of(other) for other in range(robots)]
         self.seen_step = np.full(robots, NOT_SEEN, np.int64)
         """Step at which it was last linked to each robot [N]; NOT_SEEN before, and for itself."""
         self.seen_cell = np.zeros((robots, 2), np.int64)
@@ -45,7 +48,11 @@ class TeamMemory:
         """Whether it could reach frontiers at the last observation, all of them covered."""
 
     def remember(self, observed: Observation) -> None:
-        """Take one more observation into account; ``all_covered`` and ``goal`` stay as they are."""
+        """Take one more observation into account; ``all_covered`` and ``goal`` stay as they are.
+
+        Raises:
+            RuntimeError: when obstacles end sight, and the native kernel cannot be used.
+        """
         self.stuck = (self.stuck + 1) * self.all_covered
         if self.stuck >= PATIENCE_STEPS:
             self.covered[:] = False
@@ -59,17 +66,16 @@ class TeamMemory:
         self.position[:] = observed.position
 
     def _sight(self, observed: Observation) -> None:
-        """Note where linked teammates are, and what they see."""
+        """Note where linked teammates are, and what they surely see."""
         self.waited[:] = False
         for mate, (row, column) in observed.mates.items():
             same_cell = self.seen_cell[mate, 0] == row and self.seen_cell[mate, 1] == column
             self.waited[mate] = same_cell and self.seen_step[mate] == observed.step - 1
             self.seen_step[mate] = observed.step
             self.seen_cell[mate] = row, column
-            top, left = max(row - self.radius, 0), max(column - self.radius, 0)
-            view = np.s_[top : row + self.radius + 1, left : column + self.radius + 1]
-            self.covered[view] = True
-            self.known_by[mate][view] = True
+            part, seen = surely_seen(observed.map, (row, column), self._sights[mate])
+            self.covered[part] |= seen
+            self.known_by[mate][part] |= seen
 
     def _note_merges(self, observed: Observation) -> None:
         """Note what teammates know with whom it has just merged maps."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.config.arena import TOLERANCE, ArenaConfig
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import (
     COMMUNICATE,
     COMPASS,
@@ -17,6 +17,7 @@ from marl_explore.config.constants import (
     NUM_ACTIONS,
     OCCUPIED,
     STAY,
+    TOLERANCE,
     UNKNOWN,
     Normalization,
 )
@@ -83,7 +84,7 @@ def observe(
     net = np.zeros(config.num_agents, np.float32)
     net[robot] = 1
     for other, place in others.items():
-        net[other] = in_range(cell, place, config.communication_cells)
+        net[other] = in_range(cell, place, config.reach_cells(robot, other))
     return Observation(
         fov=_field_of_view(codes, cell, others),
         fpr=feature_table(knowledge.map, cell, fpr),

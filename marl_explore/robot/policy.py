@@ -75,8 +75,8 @@ class ExportedPolicy:
         try:
             self._check_finite()
             if self.spec["twin"] == GOALS:
-                radius, options = self.arena.fov_radius, self.spec["options"]
-                self._goals = GoalActor(self._weights, options, robot, radius)
+                sight, options = self.arena.sight, self.spec["options"]
+                self._goals = GoalActor(self._weights, options, robot, sight)
             else:
                 self._logits = TWINS[self.spec["twin"]]
                 self._check_weights()
@@ -86,8 +86,9 @@ class ExportedPolicy:
 
     @property
     def any_team(self) -> bool:
-        """Whether it works for any number of robots."""
-        return self.spec["twin"] == GOALS and bool(self.spec.get("shared"))
+        """Whether it works for any number of robots, all with the same sensor."""
+        equal = len(self.arena.sight.ranges_cells) == 1
+        return self.spec["twin"] == GOALS and bool(self.spec.get("shared")) and equal
 
     def check(self, robots: int, fov_size: int) -> None:
         """Raise an error for another team or sensor than the policy was trained for.

@@ -66,7 +66,8 @@ class RobotCore:
     ) -> None:
         if not 0 <= robot < config.num_agents:
             raise ValueError(f"robot={robot!r} is not allowed: 0 to {config.num_agents - 1}")
-        if config.communication_cells**2 < CONTENTION_CELLS:
+        config.require_as_in_paper("the settings are for a robot")
+        if config.reach_cells(robot, robot) ** 2 < CONTENTION_CELLS:
             raise ValueError(
                 f"communication_range={config.communication_range!r} is not allowed: robots agree "
                 f"on moves within 2 sqrt(2) cells, {8**0.5 * config.cell_size:.4g} m"

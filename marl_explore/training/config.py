@@ -29,9 +29,9 @@ class TrainConfig(NetworkSettings):
     """A training run; the defaults are the paper's Table III and, where it is open, HAPPO's."""
 
     arena: ArenaConfig = field(default_factory=ArenaConfig)
-    """The arena, its robots and their sensors; a suite fixes size and density."""
+    """The arena, its robots and their sensors; a suite fixes size and density, or all of it."""
     arenas: str = "uniform"
-    """Kind of arenas: the name of a suite, or uniform or mixed, which take any size."""
+    """Kind of arenas: the name of a suite, or uniform, uniform-v2 or mixed, which take any size."""
     reward: str = "case2"
     """Reward function: case1, case2, case2-lone-idle, team, progress or union."""
     fpr: Literal["relative", "proximity", "absolute"] = "relative"
@@ -166,9 +166,12 @@ class TrainConfig(NetworkSettings):
             "it must be a kind of arenas and a number of robots, such as uniform/4",
         )
         arena = replace(self.arena, num_agents=int(robots))
+        arena = arena if arenas in ANY_SIZE else fit(arena, arenas)
+        own = arena.num_agents
+        require(int(robots) == own, "scenes", scene, f"{arenas} has {own} robots of its own")
         return replace(
             self,
-            arena=arena if arenas in ANY_SIZE else fit(arena, arenas),
+            arena=arena,
             arenas=arenas,
             num_envs=num_envs,
             num_minibatches=1,

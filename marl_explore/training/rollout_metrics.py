@@ -6,6 +6,7 @@ from tensordict import TensorDictBase
 
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS
 from marl_explore.core.mapping import known_cells, known_mask, known_targets, target_cells
+from marl_explore.core.survivors import largest_of_living
 
 
 def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
@@ -24,8 +25,10 @@ def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
     if ended.any():
         known = known_mask(agents["map"][ended])
         target = target_cells(following["obstacles"][ended], agents["position"][ended])
-        covered = known_targets(known, target).amax(-1) / target.flatten(-2).sum(-1)
-        ratio = known_cells(known).amax(-1) / target[0].numel()
+        alive = agents["alive"][ended]
+        largest = largest_of_living(known_targets(known, target), alive)
+        covered = largest / target.flatten(-2).sum(-1)
+        ratio = largest_of_living(known_cells(known), alive) / target[0].numel()
         metrics |= {
             "episode_return": float(following["episode_reward"][ended].mean()),
             "episode_steps": float(following["step_count"][ended].float().mean()),

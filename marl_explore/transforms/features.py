@@ -10,7 +10,8 @@ from torchrl.envs import Compose, Transform
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.frontier import Normalization
-from marl_explore.transforms.frontier import Backend, FrontierReachability
+from marl_explore.core.native import Backend
+from marl_explore.transforms.frontier import FrontierReachability
 from marl_explore.transforms.goals import GoalCandidates
 from marl_explore.transforms.memory import RememberTeam
 from marl_explore.transforms.neighbors import CommunicationNeighbors
@@ -39,17 +40,16 @@ class Feature(NamedTuple):
 
 
 def _candidates(options: FeatureOptions) -> Transform:
-    return Compose(RememberTeam(options.arena.fov_radius), GoalCandidates(options.backend))
+    sight = options.arena.sight
+    return Compose(RememberTeam(sight=sight), GoalCandidates(options.backend, sight))
 
 
 FEATURES: dict[str, Feature] = {
     "fov": Feature(2, None),
     "fpr": Feature(2, lambda o: FrontierReachability(normalize=o.fpr, backend=o.backend)),
     "net": Feature(1, lambda _: CommunicationNeighbors(linked_key=LINKED)),
-    "gain": Feature(1, lambda o: StepGain(radius=o.arena.fov_radius)),
-    "territory": Feature(
-        2, lambda o: FrontierTerritory(radius=o.arena.fov_radius, linked_key=LINKED)
-    ),
+    "gain": Feature(1, lambda o: StepGain(sight=o.arena.sight)),
+    "territory": Feature(2, lambda o: FrontierTerritory(linked_key=LINKED, sight=o.arena.sight)),
     "teammates": Feature(2, lambda _: Teammates(linked_key=LINKED)),
     "clock": Feature(1, lambda _: Clock()),
     "frontiers": Feature(2, _candidates),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 from tensordict import NestedKey
 from torch import Tensor
@@ -13,11 +11,8 @@ from marl_explore.config.constants import NUM_FEATURES
 from marl_explore.core import frontier, native
 from marl_explore.core.frontier import NORMALIZATIONS, Normalization
 from marl_explore.core.grid import NUM_DIRECTIONS
-from marl_explore.core.native import operator
+from marl_explore.core.native import BACKENDS, Backend, operator
 from marl_explore.transforms.base import MapFeature
-
-Backend = Literal["auto", "torch", "native"]
-BACKENDS: tuple[Backend, ...] = ("auto", "torch", "native")
 
 
 class FrontierReachability(MapFeature):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -18,13 +19,14 @@ from marl_explore.config.constants import (
     MATE_COLUMNS,
     MAX_FRONTIERS,
 )
+from marl_explore.config.shapes import Sight
 from marl_explore.core import goals, native
 from marl_explore.core.goals import GoalTable, Situation, taken_cells
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
 from marl_explore.core.links import linked_others
 from marl_explore.core.memory import TeamMemory
+from marl_explore.core.native import Backend
 from marl_explore.core.native import goals as kernel
-from marl_explore.transforms.frontier import Backend
 from marl_explore.transforms.memory import ALL_COVERED, MEMORY, from_tensordict
 
 READ: list[NestedKey] = [
@@ -55,10 +57,12 @@ class Candidates(NamedTuple):
     mates: Tensor
     """[*B, N, N, 9]: about every teammate, the columns ``MATE_COLUMNS``; 0 for itself."""
     context: Tensor
-    """[*B, N, 7], the columns ``CONTEXT_COLUMNS``."""
+    """[*B, N, 9], the columns ``CONTEXT_COLUMNS``."""
 
 
-def find_candidates(tensordict: TensorDictBase, backend: Backend = "auto") -> Candidates:
+def find_candidates(
+    tensordict: TensorDictBase, sight: Sight, backend: Backend = "auto"
+) -> Candidates:
     """The candidates of every robot, from an environment's step and the robots' memory.
 
     It notes in the memory whether all frontiers that a robot can reach are covered.
@@ -66,6 +70,7 @@ def find_candidates(tensordict: TensorDictBase, backend: Backend = "auto") -> Ca
     Args:
         tensordict: with the entries ``READ`` and the memory (``RememberTeam``), any batch
             dimensions.
+        sight: of the robots.
         backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible). The
             results are identical.
     """
@@ -75,18 +80,17 @@ def find_candidates(tensordict: TensorDictBase, backend: Backend = "auto") -> Ca
     situation = Situation(
         grid, position, taken_cells(fov, grid, position), mask[..., :NUM_DIRECTIONS], memory
     )
-    radius = fov.shape[-1] // 2
     c_code = backend == "native" or (
         backend == "auto" and grid.device.type == "cpu" and native.missing("goals") is None
     )
-    table = (kernel if c_code else goals).goal_table(situation, radius)
+    table = (kernel if c_code else goals).goal_table(situation, sight)
     tensordict.set(ALL_COVERED, table.all_covered)
     now = tensordict.get("step_count")
     return Candidates(
         table.frontiers,
         table.rivals,
         _mates(agents, now, memory, table),
-        _context(agents, now, table),
+        _context(agents, now, table, sight),
     )
 
 
@@ -110,7 +114,7 @@ def _mates(agents: TensorDictBase, now: Tensor, memory: TeamMemory, table: GoalT
     return torch.stack([column.int() for column in columns], -1)
 
 
-def _context(agents: TensorDictBase, now: Tensor, table: GoalTable) -> Tensor:
+def _context(agents: TensorDictBase, now: Tensor, table: GoalTable, sight: Sight) -> Tensor:
     """``Candidates.context``."""
     grid = agents.get("map")
     *_, robots, height, width = grid.shape
@@ -123,8 +127,18 @@ def _context(agents: TensorDictBase, now: Tensor, table: GoalTable) -> Tensor:
         table.all_covered,
         refused,
         agents.get("action_mask")[..., COMMUNICATE],
+        *(entry.expand_as(known) for entry in _sensors(sight, grid.device)),
     )
     return torch.stack([column.int() for column in columns], -1)
+
+
+@lru_cache
+def _sensors(sight: Sight, device: torch.device) -> tuple[Tensor, Tensor]:
+    """k of each robot, and the cells in its shape, int32 [N], or [1] if all are equal."""
+    radii, sizes = (
+        torch.tensor(x, dtype=torch.int32, device=device) for x in (sight.radii, sight.sizes)
+    )
+    return radii, sizes
 
 
 class GoalCandidates(Transform):
@@ -135,15 +149,18 @@ class GoalCandidates(Transform):
 
     Args:
         backend: as for ``find_candidates``.
+        sight: of the robots (``ArenaConfig.sight``); None: they see their whole field of view.
     """
 
-    def __init__(self, backend: Backend = "auto") -> None:
+    def __init__(self, backend: Backend = "auto", sight: Sight | None = None) -> None:
         outputs: list[NestedKey] = [("agents", "observation", name) for name in Candidates._fields]
         super().__init__(in_keys=[*READ, MEMORY], out_keys=outputs)
         self.backend: Backend = backend
+        self.sight = sight
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        found = find_candidates(next_tensordict, self.backend)
+        radius = next_tensordict.get(("agents", "observation", "fov")).shape[-1] // 2
+        found = find_candidates(next_tensordict, self.sight or Sight.square(radius), self.backend)
         for key, entry in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, entry)
         return next_tensordict

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import Transform
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.memory import (
     Observation,
     Sightings,
@@ -63,12 +64,13 @@ class RememberTeam(Transform):
     goal, it finds there in the next step.
 
     Args:
-        radius: half side of the field of view (cells).
+        radius: of the square that a robot sees (cells).
+        sight: of the robots, instead of that square (``ArenaConfig.sight``).
     """
 
-    def __init__(self, radius: int = 1) -> None:
+    def __init__(self, radius: int = 1, sight: Sight | None = None) -> None:
         super().__init__(in_keys=list(OBSERVED), out_keys=[MEMORY])
-        self.radius = radius
+        self.sight = Sight.square(radius) if sight is None else sight
         self._kept: TensorDictBase | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -106,7 +108,7 @@ class RememberTeam(Transform):
             begun = _begun(tensordict)
             memory = where_begun(begun, blank, from_tensordict(before))
             covered = before.get("all_covered") & ~begun.unsqueeze(-1)
-        after = remember(memory, observed, covered, self.radius)
+        after = remember(memory, observed, covered, self.sight)
         return to_tensordict(after, torch.zeros_like(covered))  # until candidates are found
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

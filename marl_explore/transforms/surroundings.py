@@ -7,6 +7,7 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import (
     NUM_DIRECTIONS,
     OCCUPIED,
@@ -14,8 +15,8 @@ from marl_explore.core.grid import (
     flat_cell,
     square_steps,
 )
+from marl_explore.core.information_gain import shape_sizes, step_gains
 from marl_explore.core.links import linked_others
-from marl_explore.core.sensing import cells_in_view, step_gains
 from marl_explore.transforms.base import FeatureTransform, MapFeature, TeamMapFeature
 
 LONG_STEPS = 16
@@ -27,7 +28,7 @@ LOCAL_VIEW = 4
 
 
 class StepGain(MapFeature):
-    """Share of new cells in the square that a robot would see after each move.
+    """Share of the cells of its sensor's shape that a robot would newly see after each move.
 
     Reads maps int8 [*B, H, W] and positions int64 [*B, 2]; writes float32 [*B, 8], 0 where the
     move is known to be blocked.
@@ -37,6 +38,8 @@ class StepGain(MapFeature):
         position_key: entry with the (row, column) positions.
         out_key: entry to write.
         radius: of the square that a robot sees (cells).
+        sight: of the robots, instead of that square (``ArenaConfig.sight``); if their sensors
+            differ, the last batch dimension must be that of the robots.
     """
 
     def __init__(
@@ -45,13 +48,15 @@ class StepGain(MapFeature):
         position_key: NestedKey = ("agents", "position"),
         out_key: NestedKey = ("agents", "observation", "gain"),
         radius: int = 1,
+        sight: Sight | None = None,
     ) -> None:
         super().__init__([map_key, position_key], out_key)
-        self.radius = radius
+        self.sight = Sight.square(radius) if sight is None else sight
 
     def compute(self, grid: Tensor, position: Tensor) -> Tensor:  # type: ignore[override]
         """The shares float32 [*B, 8]."""
-        return step_gains(grid, position, self.radius) / cells_in_view(self.radius)
+        gains = step_gains(grid, position, self.sight)
+        return gains / shape_sizes(self.sight, grid.device)
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, 8]."""

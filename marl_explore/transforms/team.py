@@ -7,6 +7,7 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
 from marl_explore.core.information_gain import TERRITORY_SIZE, territory_table
 from marl_explore.transforms.base import LinkedFeature, TeamMapFeature
@@ -28,6 +29,7 @@ class FrontierTerritory(TeamMapFeature):
         range_cells: largest distance at which robots are linked (cells), for data without links.
         radius: of the square that a robot sees (cells).
         linked_key: entry with the links, bool [*B, N, N]; None: compute them from the range.
+        sight: of the robots, instead of that square (``ArenaConfig.sight``).
     """
 
     def __init__(
@@ -38,14 +40,15 @@ class FrontierTerritory(TeamMapFeature):
         range_cells: float = 6.4,
         radius: int = 1,
         linked_key: NestedKey | None = None,
+        sight: Sight | None = None,
     ) -> None:
         super().__init__([map_key, position_key], out_key, range_cells, linked_key, position=1)
-        self.radius = radius
+        self.sight = Sight.square(radius) if sight is None else sight
 
     def compute(self, *inputs: Tensor) -> Tensor:
         """The table float32 [*B, N, 8, 5]."""
         grid, position = inputs[:2]
-        return territory_table(grid, position, self.links_of(inputs), self.radius)
+        return territory_table(grid, position, self.links_of(inputs), self.sight)
 
     def feature_spec(self, grid: TensorSpec, position: TensorSpec, *_: TensorSpec) -> TensorSpec:
         """Bounds 0 and 1, shape [*B, N, 8, 5]."""

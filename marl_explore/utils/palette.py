@@ -25,3 +25,5 @@ def robot_color(robot: int) -> str:
 
 UNKNOWN_COLOR, FREE_COLOR, OBSTACLE_COLOR = "#B8B8B8", "#FFFFFF", "#404040"
 """Colours of cell values."""
+WALKER_COLOR = "#A3621B"
+"""Of people who walk about."""

@@ -311,3 +311,56 @@ def test_options_of_another_kind_are_refused_and_the_episode_goes_on(options):
     with pytest.raises(ValueError, match="options"):
         env.reset(options=options)
     env.step(dict.fromkeys(env.agents, 8))
+
+
+# ------------------------------------------------------------------- robots that fail
+
+FAILING = ArenaConfig(
+    8, 8, num_agents=3, failure_rate=0.1, num_walkers=2, sensing_range=2.0, line_of_sight=True
+)
+
+
+def make_failing(**options):
+    return parallel_env(FAILING, max_steps=60, **options)
+
+
+def test_it_passes_the_api_tests_while_robots_fail():
+    parallel_api_test(make_failing(), num_cycles=200)
+    parallel_seed_test(make_failing)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Observation", category=UserWarning)
+        api_test(parallel_to_aec(make_failing()), num_cycles=200)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_robots_that_fail_leave_the_agents(shared):
+    env, ours = make_failing(seed=4, shared_reward=shared), make_env(FAILING, max_steps=60, seed=4)
+    env.reset()
+    now = ours.reset()
+    fewest = len(env.agents)
+    while env.agents:
+        before = list(env.agents)
+        _, rewards, terminated, truncated, infos = env.step(dict.fromkeys(before, 8))
+        now = ours.step(now.set(("agents", "action"), torch.full((1, 3), 8)))["next"]
+        alive = dict(zip(env.possible_agents, now["agents", "alive"][0].tolist(), strict=True))
+        done = bool(now["terminated"])
+        assert terminated == {agent: done or not alive[agent] for agent in before}
+        assert set(rewards) == set(truncated) == set(infos) == set(before)
+        own = now["agents", "individual_reward"][0, :, 0].tolist()
+        for agent, reward in rewards.items():
+            expected = now["reward"].item() if shared else own[env.possible_agents.index(agent)]
+            assert reward == expected
+        if not now["done"]:
+            assert env.agents == [agent for agent in before if alive[agent]]
+        fewest = min(fewest, len(env.agents) or fewest)
+        now = now.exclude("reward", "done", "terminated", "truncated")
+    assert fewest < 3
+
+
+def test_a_robot_that_failed_is_a_stranger():
+    env = make_failing(seed=4)
+    env.reset()
+    while len(env.agents) == 3:
+        env.step(dict.fromkeys(env.agents, 8))
+    with pytest.raises(ValueError, match="are not allowed: the robots are"):
+        env.step(dict.fromkeys(env.possible_agents, 8))

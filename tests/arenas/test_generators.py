@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from marl_explore.arenas import Caves, Corridors, Mazes, Mixed, Rooms, Uniform
+from marl_explore.arenas import Caves, Corridors, Mazes, Mixed, Rooms, Uniform, UniformV2
 from marl_explore.config.arena import ArenaConfig
 from tests.helpers import oracle
 from tests.helpers.drawing import cells, drawn
 
-KINDS = (Uniform, Rooms, Mazes, Caves, Corridors)
+KINDS = (Uniform, UniformV2, Rooms, Mazes, Caves, Corridors)
 
 
 def config(height, width=None, robots=4):

@@ -43,6 +43,16 @@ def test_every_command_takes_its_options_from_a_file(tmp_path, command):
             assert str(part).removesuffix("e-1") in shown, name
 
 
+def test_a_file_may_have_settings_of_each_robot(tmp_path):
+    path = tmp_path / "run.yaml"
+    path.write_text("sensing_range: [1.1, 2, 3.0, 3]\nmove_period: [1, 1, 2, 2]\n")
+    arena = train.parse(["fast", "--config", str(path)]).train.arena
+    assert arena.sensing_range == (1.1, 2, 3.0, 3)
+    assert arena.move_period == (1, 1, 2, 2)
+    path.write_text("sensing_range: 2.0\n")
+    assert train.parse(["fast", "--config", str(path)]).train.arena.sensing_range == 2.0
+
+
 def test_flags_replace_what_a_file_says(tmp_path):
     path = tmp_path / "run.yaml"
     path.write_text("actor_lr: 1e-3\nepisodes: 64\narena: {height: 9}\n")

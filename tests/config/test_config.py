@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import asdict, replace
 
 import pytest
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.fields import read_fields
+from marl_explore.config.shapes import SHAPES
+from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.policies.networks import DeepSet, Goals
+from marl_explore.robot import RobotCore
 from marl_explore.training.config import TrainConfig
 
 
@@ -55,11 +61,109 @@ def test_fov_square_lies_inside_the_sensing_disc(sensing_range, cell_size, radiu
         ({"sensing_range": 2.0, "occlusion": True}, "occlusion=True .* 3 x 3"),
         ({"height": 2, "width": 2, "num_agents": 5}, "num_agents=5 .* at most 4"),
         ({"obstacle_density": 0.99, "num_agents": 4}, "num_agents=4 .* at most 1"),
+        ({"sensing_range": (1.1, 2.0)}, r"sensing_range=\(1.1, 2.0\) .* num_agents=4"),
+        ({"sensing_range": (1.1, 1.1, 0.9, 1.1)}, "sensing_range=.*0.9.* at least 1.061 m"),
+        ({"sensing_range": (1.1, 1.1, -1.0, 1.1)}, "sensing_range=.* positive"),
+        ({"sensing_range": 0.7, "sensing_shape": "disc"}, "sensing_range=0.7 .* at least 0.7072 m"),
+        ({"sensing_range": math.inf}, "sensing_range=inf .* finite"),
+        ({"sensing_range": 600.0}, "sensing_range=600.0 .* less than 1000 cells"),
+        ({"sensing_shape": "cone"}, r"sensing_shape='cone' .* \['disc', 'square'\]"),
+        ({"occlusion": True, "sensing_shape": "disc"}, "occlusion=True .* use line_of_sight"),
+        (
+            {"sensing_range": (1.1, 2.0, 2.0, math.nan)},
+            "sensing_range=.*number, not NaN; or a list",
+        ),
+        ({"line_of_sight": 1}, "line_of_sight=1 .* true or false"),
+        ({"communication_range": (3.2, 3.2, 3.2, -1.0)}, "communication_range=.* at least 0"),
+        ({"communication_range": (3.2, 3.2)}, "communication_range=.* one entry per robot"),
+        ({"communication_range": math.nan}, "communication_range=nan"),
+        ({"wall_loss_db": -1.0}, "wall_loss_db=-1.0 .* at least 0"),
+        ({"wall_loss_db": math.nan}, "wall_loss_db=nan"),
+        ({"path_loss_exponent": 0.0}, "path_loss_exponent=0.0 .* positive"),
+        ({"path_loss_exponent": math.inf}, "path_loss_exponent=inf .* finite"),
+        ({"shadowing_db": math.inf}, "shadowing_db=inf .* finite"),
+        ({"shadowing_db": -1.0}, "shadowing_db=-1.0 .* at least 0"),
+        ({"message_loss": 1.5}, r"message_loss=1.5 .* \[0, 1\]"),
+        ({"failure_rate": -0.1}, r"failure_rate=-0.1 .* \[0, 1\]"),
+        ({"move_period": 0}, "move_period=0 .* at least 1"),
+        ({"move_period": 1.5}, "move_period=1.5 .* integer"),
+        ({"move_period": (1, 2, 0, 1)}, r"move_period=\(1, 2, 0, 1\) .* at least 1"),
+        ({"move_period": (1, 2, True, 1)}, "move_period=.* integer"),
+        ({"num_walkers": -1}, "num_walkers=-1 .* at least 0"),
+        ({"num_walkers": 127}, "num_walkers=127 .* at most 130"),
+        ({"num_walkers": 1.0}, "num_walkers=1.0 .* integer"),
     ],
 )
 def test_arenas_that_cannot_be_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         ArenaConfig(**settings)
+
+
+def test_settings_of_equal_robots_are_numbers():
+    config = ArenaConfig(sensing_range=(2.0,) * 4, move_period=[2, 2, 2, 2])
+    assert (config.sensing_range, config.move_period) == (2.0, 2)
+    assert config == ArenaConfig(sensing_range=2.0, move_period=2)
+
+
+def test_lists_become_tuples():
+    config = ArenaConfig(sensing_range=[1.1, 2.0, 2.0, 4.0], communication_range=[1, 2, 3, 4])
+    assert config.sensing_range == (1.1, 2.0, 2.0, 4.0)
+    assert config.communication_cells == (2.0, 4.0, 6.0, 8.0)
+    assert hash(config) == hash(replace(config))
+    again = read_fields(ArenaConfig, json.loads(json.dumps(asdict(config))), "settings")
+    assert again == config
+
+
+def test_another_number_of_robots_beneath_a_tuple_is_refused():
+    config = ArenaConfig(move_period=(1, 1, 2, 2))
+    with pytest.raises(ValueError, match=r"move_period=\(1, 1, 2, 2\) .* num_agents=5"):
+        replace(config, num_agents=5)
+
+
+def test_occlusion_is_line_of_sight():
+    assert ArenaConfig(occlusion=True) == ArenaConfig(line_of_sight=True)
+    disc = {"sensing_shape": "disc", "sensing_range": 0.8}
+    assert ArenaConfig(occlusion=True, **disc) == ArenaConfig(line_of_sight=True, **disc)
+
+
+@pytest.mark.parametrize("shape", ["square", "disc"])
+def test_the_shortest_range_that_an_error_names_is_allowed(shape):
+    with pytest.raises(ValueError, match="it must be at least") as caught:
+        ArenaConfig(sensing_shape=shape, sensing_range=0.1)
+    shortest = float(str(caught.value).split("at least ")[1].split()[0])
+    assert ArenaConfig(sensing_shape=shape, sensing_range=shortest).fov_radius == 1
+    with pytest.raises(ValueError, match="sensing_range"):
+        ArenaConfig(sensing_shape=shape, sensing_range=0.998 * shortest)
+
+
+def test_a_shape_that_never_holds_3_x_3_cells_is_refused(monkeypatch):
+    monkeypatch.setitem(SHAPES, "dot", lambda _: [1])
+    with pytest.raises(ValueError, match="sensing_shape='dot' is not allowed: .* 3 x 3"):
+        ArenaConfig(sensing_shape="dot")
+
+
+def test_a_shape_may_be_replaced(monkeypatch):
+    for width in (1, 2):
+        monkeypatch.setitem(SHAPES, "mine", lambda _, width=width: [width] * (width + 1))
+        assert ArenaConfig(sensing_shape="mine").fov_radius == width
+
+
+def test_robots_take_the_papers_world_only():
+    config = ArenaConfig(failure_rate=0.1)
+    with pytest.raises(ValueError, match="failure_rate=0.1 is not allowed: .* for a robot"):
+        RobotCore(0, config, None, None)
+
+
+def test_robots_that_differ_have_a_window_and_a_most_of_their_own():
+    config = ArenaConfig(sensing_range=(1.1, 1.8, 2.5, 2.5))
+    assert (config.fov_radius, config.fov_size) == (3, 7)
+    assert config.max_discovery == (5, 9, 13, 13)
+    assert ArenaConfig().max_discovery == 5
+
+
+def test_an_unknown_radio_is_refused():
+    with pytest.raises(ValueError, match=r"radio='smoke' is not allowed: .*\['path-loss'\]"):
+        ExplorationEnv(ArenaConfig(radio="smoke"))
 
 
 def test_an_infinite_communication_range_is_allowed():

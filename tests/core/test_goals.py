@@ -10,7 +10,8 @@ from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from marl_explore import ExplorationEnv
+from marl_explore import ArenaConfig, ExplorationEnv, Rooms
+from marl_explore.config.shapes import Sight
 from marl_explore.core.goals import GOAL_COLUMNS, MAX_FRONTIERS, Situation, taken_cells
 from marl_explore.core.grid import COMMUNICATE, FREE, NUM_DIRECTIONS, OCCUPIED, UNKNOWN
 from marl_explore.core.memory import (
@@ -32,7 +33,8 @@ from tests.helpers.goal_implementations import (
     robot_table,
 )
 from tests.helpers.oracle import COMPASS
-from tests.helpers.strategies import repeatable, scenarios
+from tests.helpers.strategies import repeatable, scenarios, sights
+from tests.helpers.wide_worlds import wide_scenarios
 
 N, NE, E, SE, S, SW, W, NW = range(8)
 
@@ -113,32 +115,28 @@ def assert_taken_agrees(td, situation, arena, robot):
     ]
 
 
-@repeatable(max_examples=100)
-@given(
-    scenario=scenarios(max_side=12, max_steps=10),
-    patience=st.sampled_from((1, 2, PATIENCE_STEPS)),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_memories_and_tables_of_whole_episodes_agree_with_the_reference(scenario, patience, seed):
-    radius, chance = scenario.rules.fov_radius, random.Random(seed)
-    env, td = begin(scenario)
+def follow_the_reference(env, td, steps, seed, patience=PATIENCE_STEPS):
+    """Memories and tables of some steps, next to those of the oracle."""
+    sight, chance = env.config.sight, random.Random(seed)
     memory = blank_memory(td["agents", "map"], td["agents", "position"])
     all_covered = torch.zeros(memory.stuck.shape, dtype=torch.bool)
     robots = robots_of(memory.stuck)
     expected = {index: robot_memory(memory, *index) for index in robots}
     was_covered = dict.fromkeys(robots, False)
-    for _ in scenario.actions:
+    for _ in range(steps):
         observed = observation_of(td)
-        memory = remember(memory, observed, all_covered, radius, patience)
+        memory = remember(memory, observed, all_covered, sight, patience)
+        known = (observed.grid != UNKNOWN).unsqueeze(1)
+        assert not (memory.known_by & ~known).any(), "what a robot is sure of is true"
         situation = situation_of(td, memory)
-        table = goal_table(situation, radius)
+        table = goal_table(situation, sight)
         for index in robots:
             expected[index] = next_robot_memory(
-                expected[index], observed, *index, was_covered[index], radius, patience
+                expected[index], observed, *index, was_covered[index], sight, patience
             )
             assert robot_memory(memory, *index) == expected[index]
             assert_taken_agrees(td, situation, *index)
-            judged = robot_table(situation, expected[index], *index, radius)
+            judged = robot_table(situation, expected[index], *index, sight)
             assert of_robot(table, *index) == judged
             was_covered[index] = judged["all_covered"]
         all_covered = table.all_covered
@@ -147,6 +145,53 @@ def test_memories_and_tables_of_whole_episodes_agree_with_the_reference(scenario
             expected[arena, robot].goal = tuple(memory.goal[arena, robot].tolist())
         action = chosen_actions(chance, td, table)
         td = env.step(td.set(("agents", "action"), action))["next"]
+    return memory, table
+
+
+@repeatable(max_examples=100)
+@given(
+    scenario=scenarios(max_side=12, max_steps=10),
+    patience=st.sampled_from((1, 2, PATIENCE_STEPS)),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_memories_and_tables_of_whole_episodes_agree_with_the_reference(scenario, patience, seed):
+    follow_the_reference(*begin(scenario), len(scenario.actions), seed, patience)
+
+
+@repeatable(max_examples=30)
+@given(
+    scenario=wide_scenarios(max_side=14, max_robots=4, max_steps=6),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_episodes_of_the_wider_world_agree_with_the_reference(scenario, seed):
+    start = scenario.start()
+    agents = {key: start.pop(key) for key in ("position", "alive")}
+    env = ExplorationEnv(scenario.config, num_envs=len(scenario.episodes))
+    td = env.reset(TensorDict({**start, "agents": agents}, env.batch_size), set_state=True)
+    follow_the_reference(env, td, len(scenario.actions), seed)
+
+
+DISC = {"sensing_shape": "disc", "sensing_range": 3.5}
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    [
+        {"sensing_range": 2.5},
+        {"sensing_range": 2.5, "line_of_sight": True},
+        DISC,
+        {**DISC, "line_of_sight": True},
+        {**DISC, "line_of_sight": True, "sensing_range": (1.5, 1.5, 4.0, 4.0)},
+        {"sensing_range": (1.1, 1.8, 2.5, 1.1)},
+    ],
+    ids=["k = 3", "k = 3 and walls", "discs", "discs and walls", "mixed team", "mixed squares"],
+)
+def test_every_kind_of_sensor_follows_the_reference(sensors):
+    config = ArenaConfig(16, 20, num_agents=4, **sensors)
+    env = ExplorationEnv(config, arenas=Rooms(config))
+    memory, table = follow_the_reference(env, env.reset(), 8, seed=0)
+    assert memory.covered.any()
+    assert (table.frontiers[..., GOAL_COLUMNS.index("near_gain")] > 4).any()
 
 
 # ---------------------------------------------------------------- random situations
@@ -154,7 +199,7 @@ def test_memories_and_tables_of_whole_episodes_agree_with_the_reference(scenario
 
 @st.composite
 def situations(draw, max_side=12):
-    """Any situation of a batch of teams, and a radius."""
+    """Any situation of a batch of teams, and their sight."""
     side = st.integers(8, max_side) | st.integers(1, max_side)
     height, width = draw(side), draw(side)
     teams, robots = draw(st.integers(1, 2)), draw(st.integers(1, 4))
@@ -174,7 +219,8 @@ def situations(draw, max_side=12):
     allowed = chance.flags(0.7, teams, robots, NUM_DIRECTIONS)
     if draw(st.integers(0, 2)) == 0:
         memory = memory._replace(covered=torch.zeros_like(memory.covered))
-    return Situation(grid, position, taken, allowed, memory), draw(st.integers(1, 3))
+    squares = st.integers(1, 3).map(Sight.square)
+    return Situation(grid, position, taken, allowed, memory), draw(squares | sights(robots))
 
 
 def serpentine(height, width):
@@ -198,10 +244,10 @@ def free_beside(grid, position):
 @repeatable(max_examples=400)
 @given(drawn=situations())
 def test_tables_of_any_situation_agree_with_the_reference(drawn):
-    situation, radius = drawn
-    table = goal_table(situation, radius)
+    situation, sight = drawn
+    table = goal_table(situation, sight)
     for index in robots_of(table.all_covered):
-        judged = robot_table(situation, robot_memory(situation.memory, *index), *index, radius)
+        judged = robot_table(situation, robot_memory(situation.memory, *index), *index, sight)
         assert of_robot(table, *index) == judged
 
 
@@ -243,8 +289,8 @@ def test_random_situations_hold_every_event(event):
     """Agreement with the oracle would prove little if full lists or rivals never came up."""
 
     def happens(drawn):
-        situation, radius = drawn
-        return bool(EVENTS[event](situation, goal_table(situation, radius)))
+        situation, sight = drawn
+        return bool(EVENTS[event](situation, goal_table(situation, sight)))
 
     # raises NoSuchExample if none is found
     find(situations(), happens, settings=settings(repeatable(250), phases=[Phase.generate]))
@@ -253,19 +299,19 @@ def test_random_situations_hold_every_event(event):
 @repeatable(max_examples=30)
 @given(drawn=situations())
 def test_a_table_leaves_its_inputs_as_they_were(drawn):
-    situation, radius = drawn
+    situation, sight = drawn
     (seen, *remembered), rest = situation.memory, situation[:-1]
     inputs = [*seen, *remembered, *rest]
     copies = [tensor.clone() for tensor in inputs]
-    goal_table(situation, radius)
+    goal_table(situation, sight)
     assert all(tensor.equal(copy) for tensor, copy in zip(inputs, copies, strict=True))
 
 
 @repeatable(max_examples=30)
 @given(drawn=situations())
 def test_every_table_holds_integers_of_its_shape(drawn):
-    situation, radius = drawn
-    table = goal_table(situation, radius)
+    situation, sight = drawn
+    table = goal_table(situation, sight)
     teams, robots = situation.position.shape[:2]
     described = {name: (t.dtype, tuple(t.shape)) for name, t in table._asdict().items()}
     assert described == {
@@ -291,14 +337,14 @@ def test_a_robots_goals_depend_on_nothing_that_it_does_not_observe(scenario, see
     The other episode has other obstacles wherever the robot's map is unknown, the robots that it
     neither sees nor is linked to stand elsewhere, and all of them know and remember other things.
     """
-    radius, chance = scenario.rules.fov_radius, random.Random(seed)
+    sight, chance = scenario.config.sight, random.Random(seed)
     env, td = begin(scenario)
     memory = blank_memory(td["agents", "map"], td["agents", "position"])
     all_covered = torch.zeros(memory.stuck.shape, dtype=torch.bool)
     for _ in scenario.actions:
         before = memory
-        memory = remember(before, observation_of(td), all_covered, radius)
-        table = goal_table(situation_of(td, memory), radius)
+        memory = remember(before, observation_of(td), all_covered, sight)
+        table = goal_table(situation_of(td, memory), sight)
         robot = chance.randrange(scenario.rules.num_agents)
         other_env = ExplorationEnv(scenario.config, num_envs=env.num_envs)
         changed = other_env.reset(another_world(chance, td, robot, scenario.rules), set_state=True)
@@ -308,9 +354,9 @@ def test_a_robots_goals_depend_on_nothing_that_it_does_not_observe(scenario, see
             with_own_row(robot, before, any_memory),
             observation_of(changed),
             with_own_row(robot, all_covered, ~all_covered),
-            radius,
+            sight,
         )
-        other_table = goal_table(situation_of(changed, other), radius)
+        other_table = goal_table(situation_of(changed, other), sight)
         for arena in range(env.num_envs):
             assert robot_memory(other, arena, robot) == robot_memory(memory, arena, robot)
             assert of_robot(other_table, arena, robot) == of_robot(table, arena, robot)
@@ -389,17 +435,27 @@ class Drawn:
 
     Args:
         board: the drawing.
-        radius: of the field of view (cells).
+        radius: half side of the square that it sees (cells).
         seen: {teammate: the cell where it was last seen}.
         knows: {teammate: cells that it surely knows}.
         blocked: moves that are not allowed.
         heading: direction of the last move.
         goal: the last goal.
         robots: of the team.
+        sight: of the team, instead of that square.
     """
 
     def __init__(
-        self, board, radius=1, seen=(), knows=(), blocked=(), heading=-1, goal=(-1, -1), robots=2
+        self,
+        board,
+        radius=1,
+        seen=(),
+        knows=(),
+        blocked=(),
+        heading=-1,
+        goal=(-1, -1),
+        robots=2,
+        sight=None,
     ):
         seen, knows = dict(seen), dict(knows)
         lines = board.split()
@@ -427,14 +483,15 @@ class Drawn:
             allowed=torch.tensor([d not in blocked for d in range(8)]).expand(1, robots, 8),
             memory=memory,
         )
-        table = of_robot(goal_table(situation, radius), 0, 0)
+        sight = Sight.square(radius) if sight is None else sight
+        table = of_robot(goal_table(situation, sight), 0, 0)
         filled = [row for row in table["frontiers"] if row[GOAL_COLUMNS.index("merged_cells")] > 0]
         self.candidates = [dict(zip(GOAL_COLUMNS, row, strict=True)) for row in filled]
         self.rivals = table["rivals"][: len(filled)]
         self.ways = table["ways"]
         self.all_covered = table["all_covered"]
         self.empty_rows = table["frontiers"][len(filled) :], table["rivals"][len(filled) :]
-        judged = robot_table(situation, robot_memory(memory, 0, 0), 0, 0, radius)
+        judged = robot_table(situation, robot_memory(memory, 0, 0), 0, 0, sight)
         assert table == judged
 
     def of_each(self, *names):
@@ -498,6 +555,22 @@ def test_squares_of_gains_end_at_the_arena_and_leave_out_covered_cells():
         ??~
     """)
     assert drawn.of_each("column", "near_gain", "far_gain", "pocket") == [(1, 2, 2, 2)]
+
+
+@pytest.mark.parametrize(("line_of_sight", "gains"), [(False, (3, 4, 4)), (True, (2, 4, 4))])
+def test_walls_hide_unseen_cells_from_the_sensor_and_not_from_the_larger_squares(
+    line_of_sight, gains
+):
+    """Of the cells 3, 4, 6 and 8 the sensor reaches to 6, with a wall before it."""
+    sight = Sight("disc", (4.0,), line_of_sight)
+    drawn = Drawn("@..??#?.?", sight=sight)
+    assert drawn.of_each("column", "near_gain", "middle_gain", "far_gain") == [(2, *gains)]
+    assert drawn.of_each("move_gain") == [(2,)], "from column 1 it reaches to 5"
+
+
+def test_a_disc_counts_the_unseen_cells_of_its_shape():
+    wide = Drawn(RING, sight=Sight("disc", (2.0,))).of_each("near_gain", "middle_gain")
+    assert wide == [(5, 16)] * 8  # a square of the same radius has 7 in the corners, 11 elsewhere
 
 
 @pytest.mark.parametrize(
@@ -781,9 +854,9 @@ def test_cells_that_nobody_comes_back_with_are_a_goal_again_after_eight_steps():
             linked=linked.unsqueeze(0),
             since=torch.tensor([[[0, 50], [50, 0]]]),
         )
-        memory = remember(memory, observed, all_covered, radius=1)
+        memory = remember(memory, observed, all_covered, Sight.square(1))
         every = torch.ones(1, 2, 8, dtype=torch.bool)
-        table = goal_table(Situation(grid, position, ~every, every, memory), radius=1)
+        table = goal_table(Situation(grid, position, ~every, every, memory), Sight.square(1))
         all_covered = table.all_covered
         flags.append(all_covered[0, 0].item())
         candidates.append(table.frontiers[0, 0, :, GOAL_COLUMNS.index("merged_cells")].sum().item())

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from hypothesis import given
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.frontier import paths
-from marl_explore.core.information_gain import territory_table
+from marl_explore.core.information_gain import step_gains, territory_table
 from marl_explore.core.links import within_range
-from marl_explore.core.sensing import step_gains, unknown_around
+from marl_explore.core.sensing import unknown_around
 from marl_explore.core.world import advance, start
-from tests.helpers import oracle
+from tests.helpers import oracle, world_oracle
 from tests.helpers.boards import known_map
 from tests.helpers.strategies import repeatable, scenarios
+from tests.helpers.wide_worlds import wide_scenarios
 
 
 def unknown_in_square(map_, cell, radius):
@@ -25,24 +29,29 @@ def unknown_in_square(map_, cell, radius):
     return sum(oracle.inside(map_, c) and map_[c[0]][c[1]] == oracle.UNKNOWN for c in square)
 
 
+def share_of_square(map_, cell, radius):
+    """Those cells as a share of the square."""
+    return unknown_in_square(map_, cell, radius) / (2 * radius + 1) ** 2
+
+
 def grids(map_):
     """Where paths may go, and what closes a diagonal."""
     free = [[value == oracle.FREE for value in row] for row in map_]
     return free, [[value == oracle.OCCUPIED for value in row] for row in map_]
 
 
-def slow_gains(map_, position, radius):
+def slow_gains(map_, position, gain):
     free, occupied = grids(map_)
     return [
-        unknown_in_square(map_, oracle.shifted(position, direction), radius)
+        gain(map_, oracle.shifted(position, direction))
         if oracle.may_move(free, occupied, position, direction)
         else 0
         for direction in oracle.COMPASS
     ]
 
 
-def slow_territory(map_, positions, robot, near, radius):
-    """The table of one robot, [8][5]."""
+def slow_territory(map_, positions, robot, near, share):
+    """The table of one robot, [8][5]; ``share`` is the expected gain of a cell."""
     free, occupied = grids(map_)
     own = tuple(positions[robot])
     others = []
@@ -61,10 +70,9 @@ def slow_territory(map_, positions, robot, near, radius):
     }
     number, nearness, value = [0] * 8, [0.0] * 8, [0.0] * 8
     for cell, (first, length) in (mine or moves).items():
-        share = unknown_in_square(map_, cell, radius) / (2 * radius + 1) ** 2
         number[first] += 1
         nearness[first] = max(nearness[first], 1 / length)
-        value[first] = max(value[first], share / length)
+        value[first] = max(value[first], share(map_, cell) / length)
     columns = [
         [n / (n + 8) for n in number],
         nearness,
@@ -83,14 +91,39 @@ def test_gains_and_territories_of_real_episodes_agree_with_slow_loops(scenario):
         state, _ = advance(scenario.config, state, action)
     radius = scenario.config.fov_radius
     reach = within_range(state.position, scenario.config.communication_cells)
-    gains = step_gains(state.map, state.position, radius).tolist()
-    tables = territory_table(state.map, state.position, reach, radius)
+    gains = step_gains(state.map, state.position, Sight.square(radius)).tolist()
+    tables = territory_table(state.map, state.position, reach, Sight.square(radius))
     for b, (maps, positions) in enumerate(
         zip(state.map.tolist(), state.position.tolist(), strict=True)
     ):
         for i, map_ in enumerate(maps):
-            assert gains[b][i] == slow_gains(map_, tuple(positions[i]), radius)
-            expected = slow_territory(map_, positions, i, reach[b, i].tolist(), radius)
+            gain = partial(unknown_in_square, radius=radius)
+            assert gains[b][i] == slow_gains(map_, tuple(positions[i]), gain)
+            share = partial(share_of_square, radius=radius)
+            expected = slow_territory(map_, positions, i, reach[b, i].tolist(), share)
+            torch.testing.assert_close(tables[b, i], torch.tensor(expected))
+
+
+@repeatable(max_examples=60)
+@given(scenario=wide_scenarios(max_side=16, max_steps=6))
+def test_gains_follow_the_shape_and_the_sight_of_each_robot(scenario):
+    config, settings = scenario.config, scenario.settings
+    state = start(config, **scenario.start())
+    for action in scenario.actions:
+        state, _ = advance(config, state, action)
+    gains = step_gains(state.map, state.position, config.sight).tolist()
+    tables = territory_table(state.map, state.position, state.linked, config.sight)
+    for b, (maps, positions, alive) in enumerate(
+        zip(state.map.tolist(), state.position.tolist(), state.alive.tolist(), strict=True)
+    ):
+        for i, map_ in enumerate(maps):
+            if not alive[i]:
+                continue
+            gain = partial(world_oracle.expected_discovery, settings, i)
+            assert gains[b][i] == slow_gains(map_, tuple(positions[i]), gain)
+            share = partial(world_oracle.expected_gain, settings, i)
+            near = state.linked[b, i].tolist()
+            expected = slow_territory(map_, positions, i, near, share)
             torch.testing.assert_close(tables[b, i], torch.tensor(expected))
 
 
@@ -105,7 +138,7 @@ def territory(board, *others, reach=True):
     grid, own = known_map(board)
     position = torch.stack((own, *map(torch.tensor, others)))
     near = torch.full((len(position), len(position)), reach) | torch.eye(len(position)).bool()
-    return territory_table(grid.expand(len(position), -1, -1), position, near, radius=1)[0]
+    return territory_table(grid.expand(len(position), -1, -1), position, near, Sight.square(1))[0]
 
 
 CORRIDOR = "?..@..?"
@@ -150,7 +183,7 @@ def test_directions_are_told_apart_however_far_the_frontiers_are():
 
 def test_moves_that_are_known_to_be_blocked_gain_nothing():
     grid, position = known_map("?????\n??#.?\n?#@.?\n??..?\n?????")
-    gains = dict(enumerate(step_gains(grid, position, 1).tolist()))
+    gains = dict(enumerate(step_gains(grid, position, Sight.square(1)).tolist()))
     assert gains[7] == 0  # north-west lies unknown behind two occupied cells
     assert gains[0] == gains[6] == 0
     assert gains[1] == 5

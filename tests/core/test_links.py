@@ -7,10 +7,10 @@ import math
 import pytest
 import torch
 
-from marl_explore.config.arena import ArenaConfig
+from marl_explore import ArenaConfig, ExplorationEnv, make_env
 from marl_explore.core.communication import networks
 from marl_explore.core.grid import COMMUNICATE
-from marl_explore.core.links import any_linked, within_range
+from marl_explore.core.links import RADIOS, any_linked, within_range
 from tests.helpers.boards import actions, arena
 
 
@@ -141,3 +141,45 @@ def test_arenas_of_a_batch_have_their_own_networks():
     communicating = torch.tensor([[True, True], [True, True]])
     together = networks(within_range(positions, 2), communicating)
     assert together.tolist() == [[[True, True], [True, True]], [[False, False], [False, False]]]
+
+
+# ---------------------------------------------------------------- radios of one's own
+
+
+@pytest.mark.parametrize(
+    ("linked", "message"),
+    [
+        (torch.ones(2, 4, 4), "must return a bool tensor of shape .2, 4, 4., got torch.float32"),
+        (torch.ones(4, 4).bool(), "must return a bool tensor .* got torch.bool of shape .4, 4."),
+        (torch.ones(2, 4, 4).triu().bool(), "must return a symmetric relation"),
+        (torch.zeros(2, 4, 4).bool(), "must return .* True on its diagonal"),
+    ],
+)
+def test_a_radio_must_give_a_symmetric_relation(monkeypatch, linked, message):
+    monkeypatch.setitem(RADIOS, "mine", lambda *_: linked)
+    env = ExplorationEnv(ArenaConfig(radio="mine"), num_envs=2)
+    with pytest.raises(ValueError, match=f"radio='mine' {message}"):
+        env.reset()
+
+
+def test_everybody_reads_what_a_radio_says(monkeypatch):
+    monkeypatch.setitem(RADIOS, "all", lambda *_: torch.ones(2, 4, 4, dtype=torch.bool))
+    td = make_env(ArenaConfig(radio="all", communication_range=0.0), num_envs=2).reset()
+    assert td["agents", "linked"].all()
+    assert td["agents", "observation", "net"].eq(1).all()
+    assert td["agents", "action_mask"][..., COMMUNICATE].all()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"communication_range": 1e200},
+        {"communication_range": (1e200, 1e200, math.inf, math.inf)},
+        {"shadowing_db": 30.0, "path_loss_exponent": 0.1},
+        {"shadowing_db": 1e300, "path_loss_exponent": 1e-300, "wall_loss_db": 1e300},
+    ],
+)
+def test_no_radio_is_too_strong(settings):
+    td = ExplorationEnv(ArenaConfig(**settings), num_envs=3).rollout(3)
+    linked = td["agents", "linked"]
+    assert linked.equal(linked.mT)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
 
-from marl_explore.core.grid import OCCUPIED, UNKNOWN
+from marl_explore.config.shapes import Sight
+from marl_explore.core.grid import OCCUPIED
 from marl_explore.core.mapping import (
     blank_maps,
     connected,
@@ -25,7 +28,8 @@ from tests.helpers.strategies import repeatable, scenarios
 
 
 def around(obstacles, position, radius=1, occlusion=False):
-    return surroundings(bordered(obstacles, radius), position, radius, occlusion)
+    sight = replace(Sight.square(radius), line_of_sight=occlusion)
+    return surroundings(bordered(obstacles, radius), position, sight)
 
 
 def view(board, radius=1, occlusion=False, robot=0):
@@ -38,12 +42,11 @@ def sensed(board, radius=1, occlusion=False):
     """The maps of all robots after sensing once."""
     obstacles, position = arena(board)
     blank = blank_maps(position, *obstacles.shape)
-    grid, cell, fresh = sense(
-        blank, around(obstacles, position, radius, occlusion), position, occlusion
-    )
-    assert (1 + fresh.sum(-1)).tolist() == known_cells(known_mask(grid)).tolist()
-    marked = (blank + 1).flatten(-2).scatter_add_(-1, cell, fresh.to(torch.int8))
-    assert marked.view(grid.shape).equal((grid != UNKNOWN).to(torch.int8))  # every new cell once
+    everything = torch.ones_like(obstacles)
+    view = around(obstacles, position, radius, occlusion)
+    grid, discovered, targets = sense(blank, view, position, everything)
+    assert (1 + discovered).tolist() == known_cells(known_mask(grid)).tolist()
+    assert targets.equal(discovered)
     return grid
 
 
@@ -175,12 +178,12 @@ def test_a_wider_sensor_writes_a_wider_square_cut_at_the_border():
 def test_sensing_keeps_what_was_known():
     obstacles, position = arena("0....")
     before = map_cells(".??.?").unsqueeze(0)
-    after = sense(before, around(obstacles, position), position)
+    target = torch.tensor([[True, False, True, True, True]])
+    after = sense(before, around(obstacles, position), position, target)
     assert after.map.equal(map_cells("..?.?").unsqueeze(0))
     assert after.discovered.tolist() == [1]
-    target = torch.tensor([[True, False, True, True, True]])
-    assert after.discovered_of(target).tolist() == [0]
-    assert after.discovered_of(~target).tolist() == [1]
+    assert after.targets.tolist() == [0]
+    assert sense(before, around(obstacles, position), position, ~target).targets.tolist() == [1]
     assert before.equal(map_cells(".??.?").unsqueeze(0))
 
 
@@ -201,7 +204,7 @@ def test_a_hidden_cell_stays_unknown_in_the_map():
 def test_hiding_does_not_erase_what_was_known():
     obstacles, position = arena(".#\n#0")
     before = map_cells(".?\n?.").unsqueeze(0)
-    after = sense(before, around(obstacles, position, occlusion=True), position, True)
+    after = sense(before, around(obstacles, position, occlusion=True), position, obstacles)
     assert after.map.equal(map_cells(".#\n#.").unsqueeze(0))
     assert after.discovered.tolist() == [2]
 
@@ -209,29 +212,26 @@ def test_hiding_does_not_erase_what_was_known():
 # ---------------------------------------------------------------- merging
 
 
-def merged_maps(maps, network, obstacles):
-    return draw(merge(known_mask(maps), network), obstacles)
+def merged_maps(maps, group, obstacles):
+    known = merge(known_mask(maps).flatten(1), torch.tensor(group))
+    return draw(known.view(maps.shape), obstacles)
 
 
 def test_members_of_a_network_get_the_union_and_others_keep_theirs():
     maps = torch.stack([map_cells("#.???"), map_cells("??.??"), map_cells("????#")])
-    network = torch.tensor([[True, True, False], [True, True, False], [False, False, False]])
-    merged = merged_maps(maps, network, map_cells("#...#") == OCCUPIED)
+    merged = merged_maps(maps, [1, 1, 2], map_cells("#...#") == OCCUPIED)
     assert merged.equal(torch.stack([map_cells("#..??"), map_cells("#..??"), map_cells("????#")]))
 
 
 def test_networks_do_not_mix_their_maps():
     maps = torch.stack([map_cells(board) for board in (".???", "?.??", "??.?", "???#")])
-    network = torch.eye(4, dtype=torch.bool)
-    network[0, 2] = network[2, 0] = network[1, 3] = network[3, 1] = True
     expected = torch.stack([map_cells(board) for board in (".?.?", "?.?#", ".?.?", "?.?#")])
-    assert merged_maps(maps, network, map_cells("...#") == OCCUPIED).equal(expected)
+    assert merged_maps(maps, [0, 1, 0, 1], map_cells("...#") == OCCUPIED).equal(expected)
 
 
 def test_without_a_network_nothing_changes():
     maps = torch.stack([map_cells("#.???"), map_cells("??.??")])
-    nobody = torch.zeros(2, 2, dtype=torch.bool)
-    assert merged_maps(maps, nobody, map_cells("#....") == OCCUPIED).equal(maps)
+    assert merged_maps(maps, [0, 1], map_cells("#....") == OCCUPIED).equal(maps)
 
 
 def test_known_cells_counts_free_and_occupied_ones():

@@ -7,20 +7,23 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.memory import (
     NOT_SEEN,
     PATIENCE_STEPS,
     Observation,
     blank_memory,
     remember,
+    surely_seen,
 )
 from marl_explore.core.world import NEVER
 from tests.helpers import goal_oracle
 from tests.helpers.boards import map_cells
 from tests.helpers.goal_implementations import Chance, next_robot_memory, robot_memory
-from tests.helpers.strategies import repeatable
+from tests.helpers.strategies import repeatable, sights
 
 NOW = 20
+SQUARE = Sight.square(1)
 
 
 def random_observation(chance, teams, robots, height, width, position):
@@ -39,7 +42,7 @@ def random_observation(chance, teams, robots, height, width, position):
 
 @st.composite
 def observed_teams(draw):
-    """A memory, an observation, flags of frontiers that are all covered, and a radius."""
+    """A memory, an observation, flags of frontiers that are all covered, and the team's sight."""
     height, width = draw(st.integers(1, 12)), draw(st.integers(1, 12))
     teams, robots = draw(st.integers(1, 3)), draw(st.integers(1, 6))
     chance = Chance(draw(st.integers(0, 2**32 - 1)))
@@ -56,7 +59,8 @@ def observed_teams(draw):
         last = before.seen.cell[:, 0, robot]
         moved[:, robot] = torch.where(waiting[:, robot, None], last, moved[:, robot])
     observed = random_observation(chance, teams, robots, height, width, moved)
-    return before, observed, chance.flags(0.7, teams, robots), draw(st.integers(1, 3))
+    squares = st.integers(1, 3).map(Sight.square)
+    return before, observed, chance.flags(0.7, teams, robots), draw(squares | sights(robots))
 
 
 def robots_of(memory):
@@ -71,11 +75,11 @@ def robots_of(memory):
 @repeatable(max_examples=300)
 @given(team=observed_teams())
 def test_any_observation_is_remembered_as_the_reference_does(team):
-    before, observed, all_covered, radius = team
-    after = remember(before, observed, all_covered, radius)
+    before, observed, all_covered, sight = team
+    after = remember(before, observed, all_covered, sight)
     for index in robots_of(after):
         expected = next_robot_memory(
-            robot_memory(before, *index), observed, *index, all_covered[index].item(), radius
+            robot_memory(before, *index), observed, *index, all_covered[index].item(), sight
         )
         assert robot_memory(after, *index) == expected
 
@@ -96,7 +100,7 @@ def test_dtypes_and_shapes_stay_the_same_from_the_blank_memory_on():
     position = chance.cells(5, 7, 2, 3)
     observed = random_observation(chance, 2, 3, 5, 7, position)
     blank = blank_memory(observed.grid, position)
-    after = remember(blank, observed, chance.flags(0.5, 2, 3), 1)
+    after = remember(blank, observed, chance.flags(0.5, 2, 3), SQUARE)
     for memory in (blank, after):
         assert described(memory.seen) == {
             "step": (torch.int64, (2, 3, 3)),
@@ -127,10 +131,10 @@ def flat(memory):
 @repeatable(max_examples=30)
 @given(team=observed_teams())
 def test_remembering_leaves_its_inputs_as_they_were(team):
-    before, observed, all_covered, radius = team
+    before, observed, all_covered, sight = team
     inputs = [*flat(before).values(), *observed, all_covered]
     copies = [tensor.clone() for tensor in inputs]
-    remember(before, observed, all_covered, radius)
+    remember(before, observed, all_covered, sight)
     assert all(tensor.equal(copy) for tensor, copy in zip(inputs, copies, strict=True))
 
 
@@ -138,14 +142,14 @@ def test_remembering_leaves_its_inputs_as_they_were(team):
 @given(team=observed_teams(), seed=st.integers(0, 2**32 - 1))
 def test_a_robot_remembers_nothing_that_it_does_not_observe(team, seed):
     """Everything else may be different: other maps, unlinked robots, and what others remember."""
-    before, observed, all_covered, radius = team
+    before, observed, all_covered, sight = team
     chance = Chance(seed)
     teams, robots, height, width = observed.grid.shape
     other = chance.memory(chance.cells(height, width, teams, robots), height, width, NOW)
     elsewhere = random_observation(
         chance, teams, robots, height, width, chance.cells(height, width, teams, robots)
     )
-    after = remember(before, observed, all_covered, radius)
+    after = remember(before, observed, all_covered, sight)
     for robot in range(robots):
 
         def only_own(own, others, robot=robot):
@@ -161,7 +165,7 @@ def test_a_robot_remembers_nothing_that_it_does_not_observe(team, seed):
         )
         mixed = mixed_memory(before, other, only_own)
         flags = only_own(all_covered, ~all_covered)
-        changed_after = remember(mixed, changed, flags, radius)
+        changed_after = remember(mixed, changed, flags, sight)
         for arena in range(teams):
             expected = robot_memory(after, arena, robot)
             assert robot_memory(changed_after, arena, robot) == expected
@@ -195,7 +199,7 @@ class Team:
             linked=torch.tensor([[[True, linked], [linked, True]]]),
             since=torch.tensor([[[0, since], [since, 0]]]),
         )
-        self.memory = remember(self.memory, observed, torch.tensor([[all_covered] * 2]), radius=1)
+        self.memory = remember(self.memory, observed, torch.tensor([[all_covered] * 2]), SQUARE)
         return robot_memory(self.memory, 0, 0)
 
 
@@ -240,6 +244,38 @@ def test_cells_in_view_of_a_linked_teammate_are_covered_and_known_by_it():
     assert memory.known_by[0] == set(), "the own cells are in the own map"
 
 
+def seen_on_a_row(board, sight, places, robot=0, mate=1):
+    """Columns that a robot is sure that a linked teammate sees; all have the same map of a row."""
+    grid = map_cells(board).expand(1, len(places), 1, -1)
+    position = torch.tensor([[[0, column] for column in places]])
+    linked = torch.ones(1, len(places), len(places), dtype=torch.bool)
+    cells = surely_seen(grid, position, linked, sight)[0, robot, mate, 0]
+    return cells.nonzero().flatten().tolist()
+
+
+@pytest.mark.parametrize(
+    ("board", "line_of_sight", "seen"),
+    [
+        (".........", True, [1, 2, 3, 4, 5, 6, 7]),
+        ("..#...#..", True, [2, 3, 4, 5, 6]),
+        ("..?...?..", True, [2, 3, 4, 5, 6]),  # there may be obstacles, which it would see
+        ("...???...", True, [3, 4, 5]),  # but none where it stands
+        ("..#?.?#..", False, [1, 2, 3, 4, 5, 6, 7]),
+    ],
+)
+def test_a_robot_is_sure_of_what_no_unknown_obstacle_could_hide_from_a_teammate(
+    board, line_of_sight, seen
+):
+    sight = Sight("disc", (3.0,), line_of_sight)
+    assert seen_on_a_row(board, sight, places=(0, 4)) == seen
+
+
+@pytest.mark.parametrize(("robot", "mate", "seen"), [(0, 1, [1, 2, 3, 4, 5]), (1, 0, [0, 1])])
+def test_teammates_see_with_their_own_sensors(robot, mate, seen):
+    sight = Sight("disc", (1.5, 2.0))
+    assert seen_on_a_row(".........", sight, (0, 3), robot, mate) == seen
+
+
 @pytest.mark.parametrize(("since", "known"), [(0, [0, 1, 4]), (1, []), (NEVER, [])])
 def test_after_a_merge_the_teammate_knows_the_own_map_and_covers_nothing_more(since, known):
     """In a relay the teammate need not be linked."""
@@ -266,7 +302,7 @@ def test_every_direction_is_a_heading(direction, offset):
         linked=torch.ones(1, 1, 1, dtype=torch.bool),
         since=torch.zeros(1, 1, 1, dtype=torch.int64),
     )
-    after = remember(blank_memory(grid, start), observed, torch.zeros(1, 1).bool(), radius=1)
+    after = remember(blank_memory(grid, start), observed, torch.zeros(1, 1).bool(), SQUARE)
     assert after.heading.tolist() == [[direction]]
     assert after.position.equal(observed.position)
 

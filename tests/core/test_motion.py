@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core.links import within_range
 from marl_explore.core.motion import action_mask, dangerous_moves, move, open_moves
 from marl_explore.core.sensing import bordered, surroundings
@@ -14,7 +15,7 @@ from tests.helpers.boards import ACTIONS, actions, arena
 
 
 def around(obstacles, position):
-    return surroundings(bordered(obstacles, 1), position, 1)
+    return surroundings(bordered(obstacles, 1), position, Sight.square(1))
 
 
 def refused_moves(obstacles, position, action):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core import goals, native
 from marl_explore.core.goals import GoalTable, Situation
 from marl_explore.core.grid import compass
@@ -22,6 +23,21 @@ THIRDS = (1, 1, 1)
 """Shares of unknown, free and occupied cells; paths are short."""
 MOSTLY_FREE = (0.03, 0.75, 0.22)
 HALF_UNKNOWN = (0.5, 0.45, 0.05)
+
+SQUARE = Sight.square(1)
+SENSORS = {
+    "3 x 3": lambda team: SQUARE,
+    "5 x 5": lambda team: Sight.square(2),
+    "7 x 7": lambda team: Sight.square(3),
+    "discs": lambda team: Sight("disc", (7.0,)),
+    "discs among walls": lambda team: Sight("disc", (7.0,), line_of_sight=True),
+    "squares among walls": lambda team: Sight("square", (4.95,), line_of_sight=True),
+    "mixed squares": lambda team: Sight("square", (2.2, 3.6, 4.95, 2.2, 5.0, 2.2, 8.0, 6.4)[:team]),
+    "mixed discs among walls": lambda team: Sight(
+        "disc", (3.0, 8.0, 1.5, 8.0, 3.0, 2.0, 5.5, 8.0)[:team], line_of_sight=True
+    ),
+}
+"""Sights of a team of at most eight."""
 
 
 class Draw:
@@ -84,12 +100,16 @@ def assert_equal(found, expected):
         assert entry.equal(other), name
 
 
-def by_robot(known, radius):
+def by_robot(known, sight):
     """The tables from the arrays of each robot."""
     memory, start = known.memory, known.grid.ndim - 2
     entries = (*known[:4], *memory.seen[:2], memory.known_by, memory.covered, memory.heading)
     flat = [x.flatten(0, start - 1).numpy() for x in (*entries, memory.goal)]
-    tables = [robot.goal_table(robot.Situation(*row), radius) for row in zip(*flat, strict=True)]
+    team = known.grid.shape[-3]
+    tables = [
+        robot.goal_table(robot.Situation(*row), sight.of(number % team))
+        for number, row in enumerate(zip(*flat, strict=True))
+    ]
     batch = known.grid.shape[:-2]
     stacked = (torch.from_numpy(np.stack(entry)) for entry in zip(*tables, strict=True))
     return GoalTable(*(entry.view(*batch, *entry.shape[1:]) for entry in stacked))
@@ -105,15 +125,16 @@ def test_the_kernel_is_built():
 
 @needs_kernel
 @pytest.mark.parametrize("team", [1, 2, 3, 4, 8])
-@pytest.mark.parametrize("radius", [1, 2, 3])
+@pytest.mark.parametrize("sensors", SENSORS)
 @pytest.mark.parametrize("shares", [THIRDS, MOSTLY_FREE, HALF_UNKNOWN])
-def test_random_situations_agree_with_torch(team, radius, shares):
-    draw = Draw(team + 10 * radius)
+def test_random_situations_agree_with_torch(team, sensors, shares):
+    sight = SENSORS[sensors](team)
+    draw = Draw(team + 10 * sight.radius)
     for height, width, covered in ((12, 12, 0.3), (9, 13, 0), (7, 30, 0.9), (3, 5, 0.5)):
         known = situation(draw.maps(shares, 4, team, height, width), draw, covered)
-        expected = goals.goal_table(known, radius)
-        assert_equal(operator.goal_table(known, radius), expected)
-        assert_equal(by_robot(known, radius), expected)
+        expected = goals.goal_table(known, sight)
+        assert_equal(operator.goal_table(known, sight), expected)
+        assert_equal(by_robot(known, sight), expected)
 
 
 @needs_kernel
@@ -123,20 +144,20 @@ def test_random_situations_agree_with_torch(team, radius, shares):
 )
 def test_sizes_agree_with_torch(size, radius):
     """Rows that fill a word of 64 cells, less than one, and more."""
-    draw = Draw(radius)
+    draw, sight = Draw(radius), Sight.square(radius)
     for shares in (MOSTLY_FREE, (0.1, 0.85, 0.05), (0.01, 0.99, 0)):
         known = situation(draw.maps(shares, 3, *size), draw, covered=0.2)
-        assert_equal(operator.goal_table(known, radius), goals.goal_table(known, radius))
+        assert_equal(operator.goal_table(known, sight), goals.goal_table(known, sight))
 
 
 @needs_kernel
 def test_large_maps_agree_with_torch():
     draw = Draw(0)
     known = situation(draw.maps(MOSTLY_FREE, 2, 128, 128), draw)
-    table = operator.goal_table(known, 2)
+    table = operator.goal_table(known, Sight.square(2))
     assert (table.frontiers[..., 4] > 0).all()
-    assert_equal(table, goals.goal_table(known, 2))
-    assert_equal(by_robot(known, 2), table)
+    assert_equal(table, goals.goal_table(known, Sight.square(2)))
+    assert_equal(by_robot(known, Sight.square(2)), table)
 
 
 @needs_kernel
@@ -149,9 +170,9 @@ def test_long_paths_agree_with_torch(height, width):
     draw = Draw(0)
     known = situation(grid.expand(3, height, width).contiguous(), draw, covered=0)
     known.position[:], known.taken[:] = 0, False
-    expected = goals.goal_table(known, 1)
+    expected = goals.goal_table(known, SQUARE)
     assert expected.frontiers[..., 2].max() > 255
-    assert_equal(operator.goal_table(known, 1), expected)
+    assert_equal(operator.goal_table(known, SQUARE), expected)
 
 
 @needs_kernel
@@ -161,19 +182,19 @@ def test_pockets_agree_with_torch(length):
     grid = torch.zeros(3, 320, dtype=torch.int8)
     grid[1, :length] = -1
     known = alone_at((0, 0), grid)
-    table = operator.goal_table(known, 1)
+    table = operator.goal_table(known, SQUARE)
     assert table.frontiers[..., 8].max() == min(length, 64)
-    assert_equal(table, goals.goal_table(known, 1))
+    assert_equal(table, goals.goal_table(known, SQUARE))
 
 
 @needs_kernel
 def test_all_covered_agrees_with_torch():
     draw = Draw(1)
     known = situation(draw.maps((0.1, 0.8, 0.1), 40, 3, 6, 6), draw, covered=0.97)
-    table = operator.goal_table(known, 1)
+    table = operator.goal_table(known, SQUARE)
     assert table.all_covered.any()
     assert not table.all_covered.all()
-    assert_equal(table, goals.goal_table(known, 1))
+    assert_equal(table, goals.goal_table(known, SQUARE))
 
 
 @needs_kernel
@@ -186,11 +207,11 @@ def test_a_teammate_may_have_been_seen_on_an_obstacle():
     step = torch.tensor([[[NOT_SEEN, 0], [0, NOT_SEEN]]])
     seen = known.memory.seen._replace(step=step, cell=torch.zeros_like(known.memory.seen.cell))
     known = known._replace(grid=grid, memory=known.memory._replace(seen=seen))
-    table = operator.goal_table(known, 1)
+    table = operator.goal_table(known, SQUARE)
     assert table.frontiers[0, 0, 0, :3].tolist() == [0, 1, 1]
     assert table.rivals[0, 0, 0, :, 0].tolist() == [-1, 1]
     known.position[:] = torch.tensor([0, 1])
-    table = operator.goal_table(known, 1)
+    table = operator.goal_table(known, SQUARE)
     assert table.frontiers[0, 0, 0, :3].tolist() == [1, 0, 1]
     assert table.rivals[0, 0, 0, :, 0].tolist() == [-1, 1]
 
@@ -211,10 +232,10 @@ def test_threads_share_the_robots(threads, number):
     draw = Draw(0)
     known = situation(draw.maps(THIRDS, operator.ROBOTS_PER_THREAD * 3 + 1, 1, 6, 7), draw)
     threads(1)
-    expected = operator.goal_table(known, 1)
+    expected = operator.goal_table(known, SQUARE)
     threads(number)
-    assert_equal(operator.goal_table(known, 1), expected)
-    assert_equal(expected, goals.goal_table(known, 1))
+    assert_equal(operator.goal_table(known, SQUARE), expected)
+    assert_equal(expected, goals.goal_table(known, SQUARE))
 
 
 def flat(known):
@@ -233,43 +254,53 @@ def test_inputs_need_not_be_contiguous():
     seen = known.memory.seen._replace(step=strided[4], cell=strided[5])
     names = ("known_by", "covered", "heading", "goal")
     memory = known.memory._replace(seen=seen, **dict(zip(names, strided[6:], strict=True)))
-    expected = operator.goal_table(known, 2)
-    assert_equal(operator.goal_table(Situation(*strided[:4], memory), 2), expected)
+    expected = operator.goal_table(known, Sight.square(2))
+    assert_equal(operator.goal_table(Situation(*strided[:4], memory), Sight.square(2)), expected)
 
 
 @needs_kernel
 def test_any_number_of_batch_dimensions():
     draw = Draw(0)
     maps = torch.zeros(0, 3, 6, 7, dtype=torch.int8)
-    assert operator.goal_table(situation(maps, draw), 1).frontiers.shape == (0, 3, 24, 14)
+    assert operator.goal_table(situation(maps, draw), SQUARE).frontiers.shape == (0, 3, 24, 14)
     known = situation(draw.maps(MOSTLY_FREE, 2, 5, 3, 6, 7), draw)
-    table = operator.goal_table(known, 1)
+    table = operator.goal_table(known, SQUARE)
     assert table.rivals.shape == (2, 5, 3, 24, 3, 2)
-    assert_equal(table, goals.goal_table(known, 1))
+    assert_equal(table, goals.goal_table(known, SQUARE))
 
 
 @needs_kernel
 def test_the_operator_fits_torch():
     draw = Draw(0)
     known = situation(draw.maps(MOSTLY_FREE, 2, 3, 6, 7), draw)
-    torch.library.opcheck(torch.ops.marl_explore.goal_table, (*flat(known), 1))
+    gains = draw.below(9, 2, 3, 8)
+    for more in ((None, [1]), (gains, [1, 2, 3])):
+        torch.library.opcheck(torch.ops.marl_explore.goal_table, (*flat(known), *more))
 
 
 @needs_kernel
-def test_vmap():
+@pytest.mark.parametrize("sensors", ["3 x 3", "mixed discs among walls"])
+def test_vmap(sensors):
+    draw, sight = Draw(0), SENSORS[sensors](3)
+    known = situation(draw.maps(MOSTLY_FREE, 4, 3, 6, 7), draw)
+    expected = operator.goal_table(known, sight)
+    assert_equal(torch.vmap(lambda x: operator.goal_table(x, sight))(known), expected)
+
+
+@needs_kernel
+def test_vmap_over_one_entry():
     draw = Draw(0)
     known = situation(draw.maps(MOSTLY_FREE, 4, 3, 6, 7), draw)
-    expected = operator.goal_table(known, 1)
-    assert_equal(torch.vmap(lambda x: operator.goal_table(x, 1))(known), expected)
+    expected = operator.goal_table(known, SQUARE)
     one_goal = torch.vmap(
         lambda goal: operator.goal_table(
-            Situation(*(x[0] for x in known[:4]), memory_of(known.memory, 0, goal)), 1
+            Situation(*(x[0] for x in known[:4]), memory_of(known.memory, 0, goal)), SQUARE
         )
     )(known.memory.goal)
     assert one_goal.frontiers.shape == expected.frontiers.shape
     for row, goal in enumerate(known.memory.goal):
         single = Situation(*(x[0] for x in known[:4]), memory_of(known.memory, 0, goal))
-        table = operator.goal_table(single, 1)
+        table = operator.goal_table(single, SQUARE)
         assert_equal(GoalTable(*(entry[row] for entry in one_goal)), table)
 
 
@@ -286,7 +317,7 @@ def test_fake_tensors_have_the_shapes():
     known = situation(draw.maps(MOSTLY_FREE, 5, 3, 6, 7), draw)
     with FakeTensorMode() as mode:
         fake = [mode.from_tensor(x) for x in flat(known)]
-        tables = torch.ops.marl_explore.goal_table(*fake, 1)
+        tables = torch.ops.marl_explore.goal_table(*fake, None, [1])
     shapes = [tuple(table.shape) for table in tables]
     assert shapes == [(5, 3, 24, 14), (5, 3, 24, 3, 2), (5, 3, 3, 2), (5, 3)]
     assert [table.dtype for table in tables] == [torch.int32] * 3 + [torch.bool]
@@ -316,7 +347,7 @@ def small():
 )
 def test_other_inputs_are_refused(name, value, message):
     with pytest.raises(ValueError, match=message):
-        operator.goal_table(small()._replace(**{name: value}), 1)
+        operator.goal_table(small()._replace(**{name: value}), SQUARE)
 
 
 @pytest.mark.parametrize(
@@ -332,7 +363,7 @@ def test_other_inputs_are_refused(name, value, message):
 def test_another_memory_is_refused(name, value, message):
     known = small()
     with pytest.raises(ValueError, match=message):
-        operator.goal_table(known._replace(memory=known.memory._replace(**{name: value})), 1)
+        operator.goal_table(known._replace(memory=known.memory._replace(**{name: value})), SQUARE)
 
 
 def first_robot(known):
@@ -345,7 +376,7 @@ def test_arrays_of_other_shapes_are_refused(name):
     wrong = "seen_cell" if name == "seen_step" else name  # which gives the size of the team
     value = np.concatenate([np.atleast_1d(getattr(known, name))] * 2)
     with pytest.raises(ValueError, match=f"{wrong} must have the shape"):
-        robot.goal_table(known._replace(**{name: value}), 1)
+        robot.goal_table(known._replace(**{name: value}), SQUARE)
 
 
 @needs_kernel
@@ -354,32 +385,38 @@ def test_cells_outside_the_map_are_refused(cell):
     known = small()
     known.position[0, 0] = torch.tensor(cell)
     with pytest.raises(ValueError, match="a position is outside its map of 6 x 7 cells"):
-        operator.goal_table(known, 1)
+        operator.goal_table(known, SQUARE)
     with pytest.raises(ValueError, match="a position is outside its map of 6 x 7 cells"):
-        robot.goal_table(first_robot(known), 1)
+        robot.goal_table(first_robot(known), SQUARE)
     known = small()
     known.memory.seen.cell[0, 0, 2] = torch.tensor(cell)
     known.memory.seen.step[0, 0, 2] = NOT_SEEN
-    operator.goal_table(known, 1)  # never seen: the cell does not matter
+    operator.goal_table(known, SQUARE)  # never seen: the cell does not matter
     known.memory.seen.step[0, 0, 2] = 0
     with pytest.raises(ValueError, match="a teammate was seen outside the map of 6 x 7 cells"):
-        operator.goal_table(known, 1)
+        operator.goal_table(known, SQUARE)
     with pytest.raises(ValueError, match="a teammate was seen outside the map of 6 x 7 cells"):
-        robot.goal_table(first_robot(known), 1)
+        robot.goal_table(first_robot(known), SQUARE)
 
 
 def test_a_radius_below_one_is_refused():
     known = small()
     with pytest.raises(ValueError, match="radius=0 is not at least 1"):
-        operator.goal_table(known, 0)
+        operator.goal_table(known, Sight.square(0))
     with pytest.raises(ValueError, match="radius=0 is not at least 1"):
-        robot.goal_table(first_robot(known), 0)
+        robot.goal_table(first_robot(known), Sight.square(0))
+
+
+@needs_kernel
+def test_ranges_of_another_team_are_refused():
+    with pytest.raises(ValueError, match="sight has 2 ranges, and the team 3 robots"):
+        operator.goal_table(small(), SENSORS["mixed squares"](2))
 
 
 def test_without_a_kernel_both_say_why(monkeypatch):
     monkeypatch.setattr(native, "_load", lambda name: OSError("it was not built"))
     assert native.missing("goals") == "it was not built"
     with pytest.raises(RuntimeError, match="native kernel cannot be used: it was not built"):
-        operator.goal_table(small(), 1)
+        operator.goal_table(small(), SQUARE)
     with pytest.raises(RuntimeError, match="native kernel cannot be used: it was not built"):
-        robot.goal_table(first_robot(small()), 1)
+        robot.goal_table(first_robot(small()), SQUARE)

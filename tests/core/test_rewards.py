@@ -34,6 +34,7 @@ def record(names, **changes):
         known=torch.full((robots,), 50),
         unshared=torch.zeros(robots, robots, dtype=torch.int64),
         missing=torch.full((robots,), 50),
+        alive=torch.ones(robots, dtype=torch.bool),
         maps=(torch.full((robots, 12, 12), -1), torch.full((robots, 12, 12), -1)),
         num_cells=144,
         max_discovery=5,

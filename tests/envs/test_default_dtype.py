@@ -68,6 +68,22 @@ def test_features_are_the_same(fpr, kernel):
     assert_same(*in_both(lambda: make_env(num_envs=4, **options).rollout(20)))
 
 
+@pytest.mark.parametrize("kernel", BACKENDS)
+def test_features_and_rewards_of_a_wider_world_are_the_same(kernel):
+    config = ArenaConfig(
+        sensing_range=(1.5, 2.0, 3.0, 3.0),
+        sensing_shape="disc",
+        line_of_sight=True,
+        wall_loss_db=6.0,
+        shadowing_db=4.0,
+        message_loss=0.2,
+        failure_rate=0.02,
+        num_walkers=2,
+    )
+    options = {"backend": kernel, "features": [*FEATURES], "reward": "union"}
+    assert_same(*in_both(lambda: make_env(config, num_envs=4, **options).rollout(20)))
+
+
 @pytest.mark.usefixtures("_float64")
 @pytest.mark.parametrize("kernel", BACKENDS)
 def test_the_specs_hold(kernel):

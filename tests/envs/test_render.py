@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from PIL import ImageColor
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 from torchrl.record import PixelRenderTransform
 
 from marl_explore import ArenaConfig, ExplorationEnv, Rooms, make_env
 from marl_explore.core.rewards import case1
+from marl_explore.utils.palette import FREE_COLOR, WALKER_COLOR, robot_color
 from tests.helpers.boards import arena
 
 SMALL = ArenaConfig(height=4, width=5, num_agents=2)
@@ -73,3 +75,27 @@ def test_repr_tells_sizes_and_settings():
     config = ArenaConfig(height=12, width=12)
     other = repr(ExplorationEnv(config, reward=case1, arenas=Rooms(config)))
     assert "reward=case1, arenas=Rooms" in other
+
+
+def test_failed_robots_and_walkers_are_shown_and_lost_knowledge_is_not():
+    env = ExplorationEnv(ArenaConfig(4, 5, 0.0, num_agents=2, num_walkers=1))
+    agents = {
+        "position": torch.tensor([[[0, 0], [3, 4]]]),
+        "alive": torch.tensor([[True, False]]),
+        "map": torch.zeros(1, 2, 4, 5, dtype=torch.int8),
+        "unshared": torch.zeros(1, 2, 2, dtype=torch.int64),
+        "steps_since_merge": torch.zeros(1, 2, 2, dtype=torch.int64),
+    }
+    agents["map"][0, 0, :, 2:] = -1
+    start = {
+        "obstacles": torch.zeros(1, 4, 5, dtype=torch.bool),
+        "walkers": torch.tensor([[[1, 1]]]),
+        "step_count": torch.tensor([[1]]),
+        "agents": agents,
+    }
+    env.reset(TensorDict(start, batch_size=[1]), set_state=True)
+    assert env.render().splitlines() == ["0.???", ".*???", "..???", "..??x"]
+    image = env.render("rgb_array")
+    assert image[24, 24].tolist() == list(ImageColor.getrgb(WALKER_COLOR))
+    assert image[3 * 16 + 8, 4 * 16 + 8].tolist() == list(ImageColor.getrgb(FREE_COLOR))
+    assert image[3 * 16 + 5, 4 * 16 + 5].tolist() == list(ImageColor.getrgb(robot_color(1)))

@@ -36,7 +36,14 @@ def hand_made():
         merged=torch.tensor([[[0, 0], [0, 0], [1, 1], [0, 0]]]).bool(),
         discovered=torch.tensor([[[3, 3], [2, 1], [0, 0], [1, 0]]]),
         received=torch.tensor([[[0, 0], [0, 0], [3, 2], [0, 0]]]),
+        position=torch.tensor(
+            [[[[3, 3], [4, 0]], [[2, 3], [3, 1]], [[2, 3], [3, 1]], [[2, 3], [3, 1]]]]
+        ),
+        alive=torch.ones(1, 4, 2, dtype=torch.bool),
+        linked=torch.tensor([[[0, 0], [1, 1], [1, 1], [0, 0]]]).bool(),
         num_targets=torch.tensor([8]),
+        finishable=torch.tensor([True]),
+        lost_targets=torch.tensor([0]),
         num_cells=10,
         cell_size=0.5,
         max_discovery=2,
@@ -76,7 +83,12 @@ def two_episodes():
         merged=torch.cat((one.merged, torch.zeros_like(one.merged))),
         discovered=torch.cat((one.discovered, one.discovered)),
         received=torch.cat((one.received, 0 * one.received)),
+        position=torch.cat((one.position, one.position[:, :1].expand(-1, 4, -1, -1))),
+        alive=torch.cat((one.alive, one.alive)),
+        linked=torch.cat((one.linked, one.linked)),
         num_targets=torch.tensor([8, 8]),
+        finishable=torch.tensor([True, True]),
+        lost_targets=torch.tensor([0, 0]),
         num_cells=10,
         cell_size=0.5,
         max_discovery=2,
@@ -196,3 +208,60 @@ def test_the_docs_have_every_measure():
         name = re.sub(r"steps_to_\d+", "steps_to_P", name)
         name = re.sub(r"coverage_at_\d+", "coverage_at_t", name)
         assert f"`{name}`" in documented, name
+
+
+# ---------------------------------------------------------------- robots that fail
+
+
+def with_a_failure():
+    """The hand-made episode, in which robot 0 fails in the last step."""
+    one = hand_made()
+    alive = one.alive.clone()
+    alive[0, 3, 0] = False
+    return one._replace(
+        alive=alive, finishable=torch.tensor([False]), lost_targets=torch.tensor([2])
+    )
+
+
+def test_coverage_is_that_of_the_living():
+    curves = metrics.coverage(with_a_failure())
+    assert curves["largest"][0].tolist() == [3 / 8, 4 / 8, 7 / 8, 6 / 8]
+    assert curves["mean"][0].tolist() == [2.5 / 8, 4 / 8, 6.5 / 8, 6 / 8]
+    assert curves["smallest"][0].tolist() == [2 / 8, 4 / 8, 6 / 8, 6 / 8]
+    scores = metrics.per_episode(with_a_failure())
+    assert scores["steps_to_100"].item() == 4
+    assert scores["complete"].item() == 0
+    assert scores["failed_robots"].item() == 1
+    assert scores["knowledge_lost"].item() == 2 / 8
+    assert scores["finishable"].item() == 0
+
+
+def test_a_map_that_was_complete_counts_even_if_its_robot_failed_later():
+    one = with_a_failure()
+    known = one.maps.known_targets.clone()
+    known[0, 2, 0] = 8
+    scores = metrics.per_episode(one._replace(maps=one.maps._replace(known_targets=known)))
+    assert (scores["complete"].item(), scores["steps_to_100"].item()) == (1, 2)
+
+
+def test_nobody_left_covers_nothing():
+    one = hand_made()
+    alive = one.alive.clone()
+    alive[0, 3] = False
+    curves = metrics.coverage(one._replace(alive=alive))
+    assert [curve[0, 3].item() for name, curve in curves.items() if name != "merged"] == [0, 0, 0]
+
+
+def test_actions_of_failed_robots_do_not_count():
+    one = hand_made()
+    alive = one.alive.clone()
+    alive[0, 2:, 0] = False
+    shares = metrics.shares(one._replace(alive=alive))
+    assert shares["communication_share"].part.tolist() == [2]
+    assert shares["communication_share"].whole.tolist() == [5]
+    assert shares["unlinked_share"].part.tolist() == [1]
+    assert shares["unlinked_share"].whole.tolist() == [4]
+
+
+def test_every_communicate_action_sends_a_map_of_two_bits_per_cell():
+    assert metrics.bytes_sent(hand_made()).tolist() == [2 * 3]

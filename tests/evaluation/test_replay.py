@@ -13,11 +13,13 @@ from marl_explore.core.frontier import feature_table
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.core.links import within_range
 from marl_explore.core.mapping import target_cells
+from marl_explore.evaluation import plots
 from marl_explore.evaluation.episodes import play, record
 from marl_explore.evaluation.metrics import coverage
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.evaluation.replay import write_replay
 from marl_explore.evaluation.replay.data import episode_data
+from tests.helpers import world_oracle
 
 CONFIG = ArenaConfig(height=8, width=10, num_agents=3, communication_range=1.6)
 ARENA, STEPS = 1, 40
@@ -158,3 +160,76 @@ def test_wrong_episodes_are_refused(steps):
     for wrong in (steps[::-1], [*steps, *an_episode(steps=2)[:1]]):
         with pytest.raises(ValueError, match="not one episode in order"):
             episode_data(wrong, CONFIG)
+
+
+# ---------------------------------------------------------------- the wider world
+
+WIDE = ArenaConfig(
+    10,
+    10,
+    num_agents=3,
+    sensing_range=(1.5, 2.0, 2.5),
+    sensing_shape="disc",
+    line_of_sight=True,
+    message_loss=0.3,
+    failure_rate=0.03,
+    num_walkers=2,
+)
+
+
+@pytest.fixture(scope="module")
+def wide_steps():
+    return an_episode(WIDE, steps=30)
+
+
+def seen_cells(digits, side):
+    """Offsets of the cells in a window of hexadecimal digits."""
+    bits = "".join(f"{int(digit, 16):04b}" for digit in digits)[: side * side]
+    return {
+        (at // side - side // 2, at % side - side // 2) for at, b in enumerate(bits) if b == "1"
+    }
+
+
+def test_sight_is_that_of_each_robot(wide_steps):
+    data = episode_data(wide_steps, WIDE, ARENA)
+    obstacles = wide_steps[0]["obstacles"][ARENA].tolist()
+    settings = world_oracle.Settings(
+        10, 10, 3, sensing_range=WIDE.sensing_range, sensing_shape="disc", line_of_sight=True
+    )
+    for step, row in zip(wide_steps, data["seen"], strict=True):
+        for robot, (place, digits) in enumerate(
+            zip(step["agents", "position"][ARENA].tolist(), row, strict=True)
+        ):
+            expected = world_oracle.seen_cells(settings, robot, obstacles, tuple(place))
+            found = {(place[0] + r, place[1] + c) for r, c in seen_cells(digits, WIDE.fov_size)}
+            assert found == expected
+
+
+def test_failures_and_walkers_are_those_that_were(wide_steps):
+    data = episode_data(wide_steps, WIDE, ARENA)
+    alive = torch.stack([step["agents", "alive"][ARENA] for step in wide_steps])
+    assert not alive.all()
+    for t, step in enumerate(wide_steps):
+        assert [t < since for since in data["failed_since"]] == alive[t].tolist()
+        row, column = step["walkers"][ARENA].unbind(-1)
+        assert data["walkers"][t] == (row * 10 + column).tolist()
+        living = [n for n, lives in zip(data["known_targets"][t], alive[t], strict=True) if lives]
+        assert data["largest_targets"][t] == max(living, default=0)
+
+
+def test_merging_pairs_are_those_whose_messages_arrived(wide_steps):
+    data = episode_data(wide_steps, WIDE, ARENA)
+    for t, step in enumerate(wide_steps):
+        since = step["agents", "steps_since_merge"][ARENA]
+        assert all(since[i, j] == 0 for i, j in data["merging"][t])
+    assert any(data["merging"])
+
+
+def test_sight_of_whole_windows_is_left_out(data):
+    assert data["seen"] is None
+    assert data["walkers"] == []
+    assert data["failed_since"] == [STEPS + 1] * 3
+
+
+def test_figures_show_failures_and_walkers(wide_steps, tmp_path):
+    assert plots.episode_figure(wide_steps, tmp_path / "episode.png", ARENA).stat().st_size

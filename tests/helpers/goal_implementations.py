@@ -5,25 +5,37 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from marl_explore.config.shapes import Sight
 from marl_explore.core import goals, native
 from marl_explore.core.goals import GoalTable, Situation
 from marl_explore.core.memory import NOT_SEEN, Observation, Sightings, TeamMemory
 from marl_explore.core.native import goals as kernel
-from tests.helpers import goal_oracle
+from tests.helpers import goal_oracle, world_oracle
 
 NAMED = {} if native.missing("goals") else {"native": kernel.goal_table}
-"""Functions of a situation and a radius that have to give the same as ``core.goals``."""
+"""Functions of a situation and the team's sight that have to give the same as ``core.goals``."""
 
 
-def goal_table(situation: Situation, radius: int) -> GoalTable:
+def goal_table(situation: Situation, sight: Sight) -> GoalTable:
     """``core.goals.goal_table``, once all others have been held against it."""
-    table = goals.goal_table(situation, radius)
+    table = goals.goal_table(situation, sight)
     for name, implementation in NAMED.items():
-        other = implementation(situation, radius)
+        other = implementation(situation, sight)
         for entry, tensor in table._asdict().items():
             assert getattr(other, entry).dtype == tensor.dtype, (name, entry)
             assert getattr(other, entry).equal(tensor), (name, entry)
     return table
+
+
+def sensors(sight: Sight, robots: int) -> world_oracle.Settings:
+    """The sight of a team in the oracle's words; its cells are metres."""
+    return world_oracle.Settings(
+        num_agents=robots,
+        cell_size=1.0,
+        sensing_range=tuple(sight.of(robot).ranges_cells[0] for robot in range(robots)),
+        sensing_shape=sight.shape,
+        line_of_sight=sight.line_of_sight,
+    )
 
 
 def robot_memory(memory: TeamMemory, arena: int, robot: int) -> goal_oracle.Memory:
@@ -49,7 +61,7 @@ def next_robot_memory(
     arena: int,
     robot: int,
     all_covered: bool,
-    radius: int,
+    sight: Sight,
     patience: int = goal_oracle.PATIENCE,
 ) -> goal_oracle.Memory:
     """The oracle's memory of one robot after an observation of its team."""
@@ -65,13 +77,13 @@ def next_robot_memory(
         {j: cells[j] for j in others if linked[j]},
         [j for j in others if since[j] == 0],
         all_covered,
-        radius,
+        sensors(sight, len(cells)),
         patience,
     )
 
 
 def robot_table(
-    situation: Situation, memory: goal_oracle.Memory, arena: int, robot: int, radius: int
+    situation: Situation, memory: goal_oracle.Memory, arena: int, robot: int, sight: Sight
 ) -> dict:
     """The oracle's goal table of one robot in a situation; the memory is given apart."""
     position = tuple(situation.position[arena, robot].tolist())
@@ -83,7 +95,7 @@ def robot_table(
         {goal_oracle.neighbour(position, d) for d in range(8) if taken[d]},
         situation.allowed[arena, robot].tolist(),
         memory,
-        radius,
+        sensors(sight, len(memory.seen_step)),
     )
 
 

@@ -1,7 +1,8 @@
 """A slow, plain reading of docs/goals.md: the oracle for tests of the memory and of the goals.
 
 Nothing here is clever on purpose. Everything is about one robot, which is given what it observes
-and nothing else. Cells are (row, column) tuples, directions are 0 to 7, sets of cells are sets.
+and nothing else, beside the sensors of its team (``world_oracle.Settings``). Cells are
+(row, column) tuples, directions are 0 to 7, sets of cells are sets.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from tests.helpers.oracle import (
     may_move,
     shifted,
 )
+from tests.helpers.world_oracle import expected_discovery, radius, seen_cells
 
 NEVER_SEEN = -1_000_000
 PATIENCE = 8
@@ -63,7 +65,7 @@ def blank(robots, position) -> Memory:
 
 
 def remember(
-    before, now, map_, position, linked, merged, all_covered, k, patience=PATIENCE
+    before, now, map_, position, linked, merged, all_covered, team, patience=PATIENCE
 ) -> Memory:
     """The memory after an observation.
 
@@ -75,7 +77,7 @@ def remember(
         linked: {teammate: its cell} of the teammates that are linked now.
         merged: the teammates with which it merged maps in the last step.
         all_covered: whether all its frontiers were covered in the observation before.
-        k: radius of the field of view.
+        team: the sensors of all robots.
         patience: steps in a row of ``all_covered`` after which it forgets what is covered.
     """
     robots = range(len(before.seen_step))
@@ -93,7 +95,7 @@ def remember(
         seen_step[j], seen_cell[j] = now, cell
 
     for j, cell in linked.items():
-        view = {c for c in all_cells(map_) if straight(c, cell) <= k}
+        view = surely_seen(team, j, map_, cell)
         covered |= view
         known_by[j] |= view
 
@@ -107,6 +109,16 @@ def remember(
     return Memory(
         seen_step, seen_cell, waited, known_by, covered, stuck, position, heading, before.goal
     )
+
+
+def surely_seen(team, mate, map_, cell) -> set[tuple[int, int]]:
+    """What a teammate senses from a cell even if all that the own map does not know is obstacles.
+
+    More obstacles never bring more into sight. Its own cell is free: it stands there.
+    """
+    may_hide = [[value != FREE for value in row] for row in map_]
+    may_hide[cell[0]][cell[1]] = False
+    return seen_cells(team, mate, may_hide, cell)
 
 
 # ---------------------------------------------------------------- cells and paths
@@ -157,14 +169,21 @@ class Surroundings:
         taken: the taken cells beside it.
         allowed: for every direction, whether the move is allowed.
         memory: what it remembers.
-        k: radius of the field of view.
+        team: the sensors of all robots.
+        robot: its number.
     """
 
-    def __init__(self, map_, position, taken, allowed, memory, k):
-        self.position, self.allowed, self.memory, self.k = position, allowed, memory, k
+    def __init__(self, map_, position, taken, allowed, memory, team, robot):
+        self.position, self.allowed, self.memory = position, allowed, memory
+        self.team, self.robot, self.k = team, robot, radius(team, robot)
+        self.left = [  # the map without what is covered
+            [FREE if (r, c) in memory.covered and v == UNKNOWN else v for c, v in enumerate(row)]
+            for r, row in enumerate(map_)
+        ]
         self.unknown = {c for c in all_cells(map_) if value(map_, c) == UNKNOWN}
         self.unseen = self.unknown - memory.covered
         self.regions = regions(self.unseen)
+        self.near_gains = {}  # of the cells that were asked for
         self.free = [[cell == FREE for cell in row] for row in map_]
         self.walls = [[cell == OCCUPIED for cell in row] for row in map_]
         self.passable = [
@@ -189,9 +208,16 @@ class Surroundings:
         """Unseen cells in a square."""
         return sum(1 for c in self.unseen if straight(c, cell) <= radius)
 
+    def near_gain(self, cell) -> int:
+        """Unseen cells that the robot would see from a cell if unknown cells were free."""
+        if cell not in self.near_gains:
+            gain = expected_discovery(self.team, self.robot, self.left, cell)
+            self.near_gains[cell] = gain
+        return self.near_gains[cell]
+
     def move_gain(self, direction) -> int:
-        """Unseen cells that would be in view after a move."""
-        return self.gain(neighbour(self.position, direction), self.k)
+        """The same after a move."""
+        return self.near_gain(neighbour(self.position, direction))
 
     def move(self, cell) -> int:
         """The first move to a cell that has one."""
@@ -256,9 +282,9 @@ def regions(cells) -> list[set[tuple[int, int]]]:
 # ---------------------------------------------------------------- the table
 
 
-def goal_table(robot, map_, position, taken, allowed, memory, k) -> dict:
+def goal_table(robot, map_, position, taken, allowed, memory, team) -> dict:
     """Everything about the candidate goals of one robot, by the names of the page."""
-    around = Surroundings(map_, position, taken, allowed, memory, k)
+    around = Surroundings(map_, position, taken, allowed, memory, team, robot)
     chosen = around.thinned()
     return {
         "frontiers": frontier_rows(around, chosen),
@@ -282,7 +308,7 @@ def frontier_rows(around, chosen) -> list[list[int]]:
             "moves": around.moves_to[cell],
             "move": move,
             "merged_cells": merged,
-            "near_gain": around.gain(cell, k),
+            "near_gain": around.near_gain(cell),
             "middle_gain": around.gain(cell, 2 * k),
             "far_gain": around.gain(cell, 4 * k),
             "pocket": around.pocket(cell),

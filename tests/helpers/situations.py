@@ -43,15 +43,21 @@ def names(action):
 def beyond_robot_0(step, config):
     """An observation in which all that robot 0 cannot know is different.
 
-    That is the truth, the others' maps and memories, and where robots out of its range are: in the
-    corner farthest from it. Also returns how many of those there are.
+    That is the truth, the others' maps and memories, their links and failures, what will happen,
+    people, and where robots are to which it is not linked: in the corner farthest from it. Also
+    returns how many of those there are.
     """
     changed = step.clone()
     changed["obstacles"] = ~changed["obstacles"]
+    changed["draw_key"] += 1
+    if config.num_walkers:
+        changed["walkers"] = torch.zeros_like(changed["walkers"])
     for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
         changed["agents", key][:, 1:] = 0
+    for key in ("alive", "linked"):
+        changed["agents", key][:, 1:] = ~changed["agents", key][:, 1:]
     position = changed["agents", "position"]
-    far = ~within_range(position, config.communication_cells)[:, 0]
+    far = ~changed["agents", "linked"][:, 0]
     last = torch.tensor([config.height - 1, config.width - 1])
     hiding = torch.where(2 * position[:, :1] < last + 1, last, 0).expand_as(position)
     position[far] = hiding[far]

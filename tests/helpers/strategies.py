@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.shapes import Sight
 from tests.helpers import oracle
 from tests.helpers.boards import arena
 
@@ -24,6 +25,19 @@ MAX_DENSITY_PERCENT = 45
 def repeatable(max_examples: int) -> settings:
     """Settings that draw the same examples on every machine and do not time single examples."""
     return settings(deadline=None, derandomize=True, max_examples=max_examples)
+
+
+SQUARES, DISCS = (2.2, 3.6, 4.95, 7.8), (1.5, 2.0, 3.2, 5.0, 7.0)
+"""Ranges of sensors in cells: squares of radii 1 to 4, and discs."""
+
+
+@st.composite
+def sights(draw, robots: int) -> Sight:
+    """The sight of a team: a shape, one range or one per robot, and whether obstacles end it."""
+    shape, ranges = draw(st.sampled_from((("square", SQUARES), ("disc", DISCS))))
+    reach = st.sampled_from(ranges)
+    each = draw(st.tuples(reach) | st.tuples(*[reach] * robots))
+    return Sight(shape, each, draw(st.booleans()))
 
 
 class Board(str):

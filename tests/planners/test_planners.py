@@ -180,11 +180,31 @@ BLIND = [
 ]
 
 
+WORLDS = {
+    "the paper's": {},
+    "a wide one": {
+        "sensing_range": (1.5, 2.0, 2.0),
+        "sensing_shape": "disc",
+        "line_of_sight": True,
+        "communication_range": 2.5,
+        "wall_loss_db": 6.0,
+        "message_loss": 0.5,
+        "failure_rate": 0.03,
+        "num_walkers": 4,
+        "move_period": (1, 2, 1),
+        "obstacle_density": 0.2,
+    },
+}
+
+
+@pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", BLIND)
-def test_a_robot_decides_by_what_it_can_know(name):
-    """The truth, others' maps and memories, and where robots out of range are, change nothing."""
-    config = ArenaConfig(num_agents=3)
-    history = ExplorationEnv(config, num_envs=8, stream="test").rollout(13)
+def test_a_robot_decides_by_what_it_can_know(name, world):
+    """The truth, others' maps and memories, and where unlinked robots are, change nothing."""
+    config = ArenaConfig(num_agents=3, **WORLDS[world])
+    history = ExplorationEnv(config, num_envs=8, stream="test").rollout(
+        13, break_when_any_done=False
+    )
     planner, ignorant = (PLANNERS[name](config) for _ in range(2))
     moved = 0
     for step in history.unbind(1):

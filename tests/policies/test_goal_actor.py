@@ -17,6 +17,7 @@ from marl_explore.config.constants import (
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.planners import GoalUtility
+from marl_explore.planners.goal_utility import place_terms
 from marl_explore.policies.actors import CHOICE
 from marl_explore.policies.argmax import ArgmaxPolicy
 from marl_explore.policies.io import load_policy, save_policy
@@ -124,7 +125,7 @@ def test_an_untrained_actor_acts_as_the_planner():
     When it communicates, the planner also chooses a place, so their last goals differ at times.
     """
     actor = ArgmaxPolicy(a_policy(trained=False, prior=100.0, communicate_every=1000))
-    planner = GoalUtility(ARENA.fov_radius)
+    planner = GoalUtility(ARENA.sight)
     alike = number = exchanges = 0
     env = ExplorationEnv(ARENA, num_envs=16)
     now = env.reset()
@@ -141,6 +142,24 @@ def test_an_untrained_actor_acts_as_the_planner():
     assert number > 0.8 * 40 * 16 * ROBOTS
     assert alike > 0.98 * number
     assert exchanges > 100
+
+
+def test_shares_are_those_of_each_robots_own_sensor():
+    """A square of radius 1 beside a disc of radius 3, which has 29 cells."""
+    found = rows_of(episode(steps=1))
+    found = Candidates(*(torch.zeros_like(entry[:2]) for entry in found))
+    gains = {"near_gain": 9, "middle_gain": 13, "far_gain": 25, "move_gain": 3, "from_last_goal": 2}
+    for name, value in gains.items():
+        found.frontiers[..., GOAL_COLUMNS.index(name)] = value
+    sensors = {"radius": (1, 3), "shape_cells": (9, 29)}
+    for name, values in sensors.items():
+        found.context[..., CONTEXT_COLUMNS.index(name)] = torch.tensor(values)
+    near, middle, far, last, move = place_terms(found)[:, 0, [2, 3, 4, 8, 10]].unbind(-1)
+    assert_close(near, torch.tensor([9 / 9, 9 / 29]))
+    assert_close(middle, torch.tensor([13 / 5**2, 13 / 13**2]))
+    assert_close(far, torch.tensor([25 / 9**2, 25 / 25**2]))
+    assert_close(move, torch.tensor([3 / 9, 3 / 29]))
+    assert last.tolist() == [0, 1]
 
 
 def test_impossible_choices_have_the_forbidden_logit():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import replace
 
@@ -70,7 +71,7 @@ class Comparison:
         path = export_npz(policy, tmp_path / "policy.npz")
         robots = range(env.config.num_agents)
         self.robots = [ExportedPolicy(path, robot, sample=False) for robot in robots]
-        self.memory = RememberTeam(env.config.fov_radius)
+        self.memory = RememberTeam(sight=env.config.sight)
         self.counts = Counter()
 
     def run(self, steps):
@@ -83,7 +84,7 @@ class Comparison:
     def _decide(self, now):
         """The actions in torch, int64 [1, N], with which every robot's are compared."""
         known = self.memory(now.clone())
-        found = find_candidates(known)
+        found = find_candidates(known, self.env.config.sight)
         memory = known[MEMORY].clone()
         for name, entry in found._asdict().items():
             known["agents", "observation", name] = entry
@@ -161,3 +162,31 @@ def test_a_wide_field_of_view_and_an_actor_for_every_robot(tmp_path):
     assert policy.config.arena.fov_radius == 2
     counts = compared(policy, "mixed", 3, 16, 40, tmp_path)
     assert counts["place"] > 30
+
+
+LIDAR = {"sensing_shape": "disc", "sensing_range": 3.5, "line_of_sight": True}
+SCOUTS_AND_MAPPERS = {
+    "sensing_range": (1.5, 1.5, 4.0, 4.0),
+    "communication_range": (4.0, 4.0, 8.0, 8.0),
+    "move_period": (1, 1, 2, 2),
+}
+
+
+@pytest.mark.parametrize(
+    ("arenas", "options"),
+    [
+        ("uniform", {"sensing_shape": "disc", "sensing_range": 1.6}),
+        (Rooms, {**LIDAR, "wall_loss_db": math.inf}),
+        (Caves, {**LIDAR, "shared": False, "failure_rate": 0.01, "num_walkers": 3}),
+        (Mazes, {"sensing_range": 1.8, "line_of_sight": True}),
+        ("uniform", SCOUTS_AND_MAPPERS),
+        (Rooms, {**LIDAR, **SCOUTS_AND_MAPPERS, "wall_loss_db": 6.0}),
+        (Caves, {**LIDAR, **SCOUTS_AND_MAPPERS, "shared": False}),
+    ],
+)
+def test_sensors_of_all_kinds(arenas, options, tmp_path):
+    """Shapes, walls that end sight, and robots that differ."""
+    policy = goal_policy(**options)
+    counts = compared(policy, arenas, 4, 24, 40, tmp_path)
+    assert counts["place"] > 30
+    assert counts["ties"] <= 2

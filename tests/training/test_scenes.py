@@ -96,6 +96,7 @@ def test_a_run_of_scenes_resumes_to_the_last_bit():
         ({"scenes": ("uniform", "uniform/2")}, "scenes='uniform' .* such as uniform/4"),
         ({"scenes": ("uniform/two", "uniform/2")}, "scenes='uniform/two'"),
         ({"scenes": ("attic-12/2", "uniform/2")}, "attic-12"),
+        ({"scenes": ("lidar-32/2", "uniform/2")}, "scenes='lidar-32/2' .* 4 robots of its own"),
         ({"scenes": ("uniform/2", *(f"uniform/{n}" for n in (3, 4, 5)))}, "num_envs=6 .* 4 scenes"),
         ({"algorithm": "happo"}, "scenes=.* it needs algorithm='mappo'"),
         ({"network": NETWORKS["mlp"]}, "scenes=.* a network that chooses among goals"),

@@ -10,11 +10,12 @@ from tensordict import TensorDict
 from torchrl.envs import ParallelEnv, RewardSum, check_env_specs, step_mdp
 
 from marl_explore import ArenaConfig, ExplorationEnv, make_env
+from marl_explore.config.constants import CONTEXT_COLUMNS
 from marl_explore.core import native
 from marl_explore.core.memory import blank_memory, remember
 from marl_explore.policies.policy import Policy, PolicyConfig
 from marl_explore.training.collectors import ResumableCollector
-from marl_explore.transforms.goals import Candidates, find_candidates
+from marl_explore.transforms.goals import Candidates, GoalCandidates, find_candidates
 from marl_explore.transforms.memory import (
     ALL_COVERED,
     GOAL,
@@ -26,6 +27,21 @@ from marl_explore.transforms.memory import (
 )
 from tests.helpers.configs import NETWORKS
 
+WIDE = ArenaConfig(
+    10,
+    11,
+    num_agents=4,
+    sensing_range=(0.8, 1.5, 3.0, 3.0),
+    sensing_shape="disc",
+    line_of_sight=True,
+    communication_range=(2.0, 2.0, 4.0, 4.0),
+    wall_loss_db=6.0,
+    shadowing_db=4.0,
+    message_loss=0.2,
+    move_period=(1, 1, 2, 2),
+    failure_rate=0.02,
+    num_walkers=3,
+)
 FEATURES = ("fov", *Candidates._fields)
 ARENA = ArenaConfig(height=7, width=8, num_agents=3, communication_range=1.6)
 
@@ -46,9 +62,10 @@ def same(one, two):
     return all(torch.equal(one[key], two[key]) for key in set(one.keys()))
 
 
-@pytest.mark.parametrize("robots", [1, 3])
-def test_environments_with_memory_keep_torchrls_contract(robots):
-    config = ArenaConfig(height=6, width=7, num_agents=robots)
+@pytest.mark.parametrize(
+    "config", [ArenaConfig(height=6, width=7), ArenaConfig(6, 7, num_agents=1), WIDE]
+)
+def test_environments_with_memory_keep_torchrls_contract(config):
     check_env_specs(goal_env(2, config, max_steps=5))
 
 
@@ -66,7 +83,9 @@ def test_on_an_environment_memory_is_that_of_each_episode():
         else:
             assert not begun.any()
             before, covered = from_tensordict(memory), memory["all_covered"]
-        expected = to_tensordict(remember(before, observed, covered, radius=1), step[ALL_COVERED])
+        expected = to_tensordict(
+            remember(before, observed, covered, ARENA.sight), step[ALL_COVERED]
+        )
         now = step[MEMORY]
         assert same(now.exclude("goal"), expected.exclude("goal"))  # a policy has set the goal
         memory = now
@@ -104,7 +123,7 @@ def test_a_policy_remembers_by_itself_what_an_environment_would(shared):
 @pytest.mark.skipif(native.missing() is not None, reason=str(native.missing()))
 def test_both_backends_find_the_same_candidates():
     for step in goal_env().rollout(20, a_policy()).unbind(1):
-        one, two = (find_candidates(step, backend) for backend in ("torch", "native"))
+        one, two = (find_candidates(step, ARENA.sight, backend) for backend in ("torch", "native"))
         for name, entry in one._asdict().items():
             assert entry.equal(getattr(two, name)), name
 
@@ -133,7 +152,7 @@ def test_a_reset_to_the_middle_of_an_episode_without_memory_starts_a_new_one():
     fresh = blank_memory(later["agents", "map"], later["agents", "position"])
     never = torch.zeros_like(fresh.stuck, dtype=torch.bool)
     expected = to_tensordict(
-        remember(fresh, observation_of(later), never, 1), observed[ALL_COVERED]
+        remember(fresh, observation_of(later), never, ARENA.sight), observed[ALL_COVERED]
     )
     assert same(observed[MEMORY], expected)
 
@@ -207,3 +226,68 @@ def test_the_module_keeps_what_others_write_into_its_memory():
     anew = keeper(env.reset())
     assert (anew[GOAL] == -1).all()
     assert keeper(TensorDict(anew, batch_size=[2]))[MEMORY] is anew[MEMORY]
+
+
+# ---------------------------------------------------------------- the wider world
+
+
+def otherwise(step, robot, config):
+    """An observation of teams in which everything that one robot cannot know is drawn anew."""
+    changed = step.clone()
+    agents, robots = changed["agents"], config.num_agents
+    others = torch.arange(robots) != robot
+    changed["obstacles"] = ~changed["obstacles"]
+    changed["draw_key"] = torch.randint_like(changed["draw_key"], 2**62)
+    changed["walkers"] = torch.randint_like(changed["walkers"], config.height)
+    agents["alive"][:, others] ^= True
+    agents["linked"][:, others] ^= True
+    agents["map"][:, others] = torch.randint_like(agents["map"][:, others], -1, 2)
+    for key in ("unshared", "steps_since_merge"):
+        agents[key][:, others] = torch.randint_like(agents[key][:, others], 3)
+    for key in ("dangerous", "action_mask"):
+        agents[key][:, others] ^= True
+    agents["observation", "fov"][:, others] = 1.0
+    hidden = ~agents["linked"][:, robot]
+    agents["position"][hidden] = torch.randint_like(agents["position"][hidden], config.height)
+    return changed
+
+
+def test_memory_and_candidates_depend_on_nothing_that_a_robot_does_not_observe():
+    """In the wider world, where who is alive, walkers and draws are beyond its knowledge too."""
+    torch.manual_seed(0)
+    env = ExplorationEnv(WIDE, num_envs=6)
+    robots = range(WIDE.num_agents)
+    keepers = [RememberTeam(sight=WIDE.sight) for _ in (*robots, None)]
+    now, heard, mixed = env.reset(), 0, 0
+    for _ in range(40):
+        known = keepers[-1](now.clone())
+        found = find_candidates(known, WIDE.sight)
+        heard += int((known[MEMORY]["step"] >= 0).sum())
+        for robot in robots:
+            other = keepers[robot](otherwise(now, robot, WIDE))
+            other_found = find_candidates(other, WIDE.sight)
+            assert same(other[MEMORY][:, robot], known[MEMORY][:, robot])
+            for name, entry in found._asdict().items():
+                assert entry[:, robot].equal(getattr(other_found, name)[:, robot]), name
+            mixed += int((other[MEMORY]["known_by"] != known[MEMORY]["known_by"]).sum())
+        mask = now["agents", "action_mask"].float()
+        action = torch.multinomial(mask.flatten(0, 1), 1).view(mask.shape[:2])
+        now = step_mdp(env.step(now.set(("agents", "action"), action)))
+    assert not now["agents", "alive"].all()
+    assert heard > 0
+    assert mixed > 0
+
+
+def test_the_context_tells_each_robots_own_sensor():
+    found = goal_env(2, WIDE).reset()["agents", "observation", "context"]
+    own = {name: found[0, :, CONTEXT_COLUMNS.index(name)] for name in ("radius", "shape_cells")}
+    assert own["radius"].tolist() == [1, 3, 6, 6]
+    assert own["shape_cells"].tolist() == [9, 29, 113, 113]
+
+
+def test_without_a_sight_robots_see_their_whole_field_of_view():
+    config = ArenaConfig(height=9, width=9, sensing_range=1.8)
+    step = RememberTeam(2)(ExplorationEnv(config, num_envs=2).reset())
+    found = GoalCandidates()(step)["agents", "observation"]
+    for name, entry in find_candidates(step, config.sight)._asdict().items():
+        assert found[name].equal(entry), name

@@ -9,9 +9,9 @@ import torch
 from tensordict import TensorDict
 
 from marl_explore import ArenaConfig, make_env
-from marl_explore.core.information_gain import territory_table
+from marl_explore.config.shapes import Sight
+from marl_explore.core.information_gain import step_gains, territory_table
 from marl_explore.core.links import within_range
-from marl_explore.core.sensing import step_gains
 from marl_explore.policies.networks import DeepSet
 from marl_explore.transforms import Clock, FrontierTerritory, LocalMap, StepGain, Teammates
 from marl_explore.transforms.features import make_features
@@ -59,9 +59,9 @@ def test_specs_hold():
 def test_maps_become_the_tables_of_the_core():
     step = rollout(8)[:, -1]
     grid, position = step["agents", "map"], step["agents", "position"]
-    assert torch.equal(step[KEYS[0]], step_gains(grid, position, 1) / 9)
+    assert torch.equal(step[KEYS[0]], step_gains(grid, position, Sight.square(1)) / 9)
     reach = within_range(position, 3.0)
-    assert torch.equal(step[KEYS[1]], territory_table(grid, position, reach, 1))
+    assert torch.equal(step[KEYS[1]], territory_table(grid, position, reach, Sight.square(1)))
 
 
 def a_team(**entries):

@@ -1,9 +1,10 @@
-"""The C kernels for tables on the CPU, if the package was installed with a compiler.
+"""The C kernels for computations on the CPU, if the package was installed with a compiler.
 
 Each C file is built as an optional extension when the package is installed, and loaded here with
-ctypes, without torch. ``native.operator`` (frontier tables) and ``native.goals`` (candidate goals)
-pass tensors to them, ``robot.frontier`` and ``robot.goals`` arrays. Without them everything still
-works. ``marl_explore.backend()`` says which backend is in use and why.
+ctypes, without torch. ``native.operator`` (frontier tables), ``native.goals`` (candidate goals),
+``native.paths`` (shortest paths), ``native.sight`` (line of sight) and ``native.sensing`` pass
+tensors to them, ``robot.frontier`` and ``robot.goals`` arrays. Without them everything still works.
+``marl_explore.backend()`` says which backend is in use and why.
 """
 
 from __future__ import annotations
@@ -13,16 +14,31 @@ from collections.abc import Callable
 from functools import lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from marl_explore.config.constants import Normalization
 
-_NO_MEMORY, _OUTSIDE, _SEEN_OUTSIDE = 1, 2, 3  # error codes of the C functions
+_NO_MEMORY, _OUTSIDE, _SEEN_OUTSIDE, _NO_SUCH = 1, 2, 3, 4  # error codes of the C functions
 MODES: dict[Normalization | None, int] = {None: 0, "relative": 1, "proximity": 2, "absolute": 3}
 """The kernel's numbers for the normalisations."""
 
-Kernel = Literal["frontier", "goals"]
-"""Tables of paths to frontiers (FPR), and candidate goals."""
+Kernel = Literal[
+    "frontier",
+    "goals",
+    "paths",
+    "beam values",
+    "beam plans",
+    "sight",
+    "discoveries",
+    "surroundings",
+    "sense",
+    "merge",
+]
+"""Tables of paths to frontiers (FPR), candidate goals, paths to cells, line of sight, expected
+discoveries, what is around robots, what they write into their maps, merging them."""
+Backend = Literal["auto", "torch", "native"]
+BACKENDS: tuple[Backend, ...] = get_args(Backend)
+"""What computes: torch, a kernel (CPU tensors only), or a kernel where that is possible."""
 
 
 class GoalBatch(ctypes.Structure):
@@ -45,34 +61,214 @@ class GoalBatch(ctypes.Structure):
                 "covered",
                 "headings",
                 "goals",
+                "radii",
+                "gains",
                 "frontiers",
                 "rivals",
                 "ways",
                 "all_covered",
             )
         ),
-        *((name, ctypes.c_int64) for name in ("team", "height", "width", "radius")),
+        *((name, ctypes.c_int64) for name in ("team", "height", "width", "kinds")),
+    )
+
+
+class BeamTurn(ctypes.Structure):
+    """Addresses of the arrays of a robot's turn in joint plans, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                "cell",
+                "before",
+                "unknown",
+                "code",
+                "seen",
+                "occupied",
+                "target",
+                "share",
+                "distance",
+                "visible",
+                "near",
+                "inside",
+                "window",
+                "on_grid",
+                "place",
+                "hashes",
+                "value",
+                "new_seen",
+                "new_code",
+                "first",
+                "best",
+                "best_value",
+                "to_cell",
+                "to_before",
+                "to_first",
+                "to_unknown",
+                "to_code",
+                "to_seen",
+            )
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in (
+                "plans",
+                "robots",
+                "cells",
+                "targets",
+                "side2",
+                "robot",
+                "kept",
+                "is_first",
+            )
+        ),
+        *((name, ctypes.c_float) for name in ("weight", "of_distance", "favour", "of_order")),
+    )
+
+
+class PathQueries(ctypes.Structure):
+    """Addresses of the arrays of shortest paths, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("maps", "cells", "which", "starts", "moves", "lengths")
+        ),
+        *((name, ctypes.c_int64) for name in ("num_maps", "height", "width", "num_cells")),
+    )
+
+
+class SightQueries(ctypes.Structure):
+    """Addresses of the arrays of expected discoveries, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("maps", "which", "cell", "kind", "masks", "found")),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("num_maps", "height", "width", "num_kinds", "side", "hides")
+        ),
+    )
+
+
+class Looks(ctypes.Structure):
+    """Addresses of the arrays of what is around robots, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("walls", "own", "masks", "view")),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("team", "cells", "width", "num_kinds", "side", "hides")
+        ),
+    )
+
+
+class Readings(ctypes.Structure):
+    """Addresses of the arrays of what robots write into maps, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("view", "position", "alive", "target", "maps", "discovered", "targets")
+        ),
+        *((name, ctypes.c_int64) for name in ("team", "height", "width", "side")),
+    )
+
+
+class Teams(ctypes.Structure):
+    """Addresses of the arrays of teams that merge their maps, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                "linked",
+                "communicating",
+                "target",
+                "maps",
+                "network",
+                "received",
+                "targets",
+            )
+        ),
+        *((name, ctypes.c_int64) for name in ("team", "cells")),
     )
 
 
 _POINTER, _INTEGER = ctypes.c_void_p, ctypes.c_int64
-_FUNCTIONS: dict[Kernel, tuple[str, tuple[Any, ...]]] = {
+# of each kernel its file, its function and the arguments of that
+_FUNCTIONS: dict[Kernel, tuple[str, str, tuple[Any, ...]]] = {
     "frontier": (
+        "frontier",
         "marl_explore_frontier_tables",
         (_POINTER, _POINTER, *[_INTEGER] * 3, *[ctypes.c_int] * 2, _POINTER),
     ),
-    "goals": ("marl_explore_goal_tables", (ctypes.POINTER(GoalBatch), _INTEGER, _INTEGER)),
+    "goals": (
+        "goals",
+        "marl_explore_goal_tables",
+        (ctypes.POINTER(GoalBatch), _INTEGER, _INTEGER),
+    ),
+    "beam values": (
+        "beam",
+        "marl_explore_beam_values",
+        (ctypes.POINTER(BeamTurn), _INTEGER, _INTEGER),
+    ),
+    "beam plans": (
+        "beam",
+        "marl_explore_beam_plans",
+        (ctypes.POINTER(BeamTurn), _INTEGER, _INTEGER),
+    ),
+    "paths": (
+        "paths",
+        "marl_explore_paths",
+        (ctypes.POINTER(PathQueries), _INTEGER, _INTEGER),
+    ),
+    "sight": (
+        "sight",
+        "marl_explore_line_of_sight",
+        (_POINTER, _INTEGER, _INTEGER, _POINTER),
+    ),
+    "discoveries": (
+        "sight",
+        "marl_explore_expected_discoveries",
+        (ctypes.POINTER(SightQueries), _INTEGER, _INTEGER),
+    ),
+    "surroundings": (
+        "sight",
+        "marl_explore_surroundings",
+        (ctypes.POINTER(Looks), _INTEGER, _INTEGER),
+    ),
+    "sense": ("sight", "marl_explore_sense", (ctypes.POINTER(Readings), _INTEGER, _INTEGER)),
+    "merge": ("merging", "marl_explore_merge", (ctypes.POINTER(Teams), _INTEGER, _INTEGER)),
 }
 
 
 @lru_cache
 def _load(name: Kernel) -> Callable[..., int] | OSError:
     """The function of a kernel, or why there is none."""
-    files = [Path(__file__).parent / f"_{name}{suffix}" for suffix in EXTENSION_SUFFIXES]
+    library, function, arguments = _FUNCTIONS[name]
+    files = [Path(__file__).parent / f"_{library}{suffix}" for suffix in EXTENSION_SUFFIXES]
     built = [file for file in files if file.is_file()]
     if not built:
         return OSError("it was not built: the package was installed without a C compiler")
-    function, arguments = _FUNCTIONS[name]
     try:
         loaded = ctypes.CDLL(str(built[0]))[function]
     except OSError as error:
@@ -89,13 +285,13 @@ def missing(name: Kernel = "frontier") -> str | None:
 
 
 def backend() -> str:
-    """The backend for tables of CPU tensors, and why it is used, in one line."""
-    reason = missing() or missing("goals")
+    """The backend for CPU tensors, and why it is used, in one line."""
+    reason = next(filter(None, map(missing, _FUNCTIONS)), None)
     return f"torch: the native kernel is missing, {reason}" if reason else "native: C kernel"
 
 
 def kernel(name: Kernel = "frontier") -> Callable[..., int]:
-    """A C function; that of ``goals`` takes a ``GoalBatch`` and the first and last of its robots.
+    """A C function; those with a structure take it and the first and last of its rows.
 
     Raises:
         RuntimeError: when it cannot be used.
@@ -114,3 +310,5 @@ def check(failed: int, height: int, width: int) -> None:
         raise ValueError(f"a position is outside its map of {height} x {width} cells")
     if failed == _SEEN_OUTSIDE:
         raise ValueError(f"a teammate was seen outside the map of {height} x {width} cells")
+    if failed == _NO_SUCH:
+        raise ValueError("a query is about a map or a kind of robot that there is not")

@@ -27,11 +27,14 @@ typedef struct {
     const uint8_t *covered;     /* [robots, height, width] */
     const int64_t *headings;    /* [robots] */
     const int64_t *goals;       /* [robots, 2] */
+    const int64_t *radii;       /* [kinds], k of each robot of a team, or one for all */
+    const int64_t *gains;       /* [robots, 8], unseen cells that a robot would see after each move;
+                                 * NULL: those in the square of radius k */
     int32_t *frontiers;         /* [robots, 24, 14] */
     int32_t *rivals;            /* [robots, 24, team, 2] */
     int32_t *ways;              /* [robots, team, 2] */
     uint8_t *all_covered;       /* [robots] */
-    int64_t team, height, width, radius;
+    int64_t team, height, width, kinds;
 } Batch;
 
 typedef struct {
@@ -80,9 +83,6 @@ typedef struct {
     int order[DIRECTIONS];
     int32_t gain[DIRECTIONS];
 } Moves;
-
-static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
-static int64_t most(int64_t a, int64_t b) { return a > b ? a : b; }
 
 static inline int32_t straight(int32_t row, int32_t column, int32_t other_row,
                                int32_t other_column) {
@@ -454,14 +454,23 @@ static void thin(const Space *space, int64_t found, int64_t radius, Chosen *chos
     }
 }
 
+/* Unseen cells that a robot would see after a move. */
+static int32_t move_gain(const Space *space, const Batch *batch, int64_t robot, int64_t radius,
+                         int direction) {
+    const int64_t *from = batch->positions + 2 * robot;
+    const int64_t row = from[0] + STEP_ROW[direction], column = from[1] + STEP_COLUMN[direction];
+    if (!is_inside(row, column, space->height, space->width))
+        return 0;
+    return batch->gains ? (int32_t)batch->gains[robot * DIRECTIONS + direction]
+                        : count_around(space, row, column, radius);
+}
+
 /* Allowed moves before others, then those with the larger gain, then the lower directions. */
-static Moves rank_moves(const Space *space, int64_t row, int64_t column, const uint8_t *allowed,
-                        int64_t radius) {
+static Moves rank_moves(const Space *space, const Batch *batch, int64_t robot, int64_t radius) {
+    const uint8_t *allowed = batch->allowed + robot * DIRECTIONS;
     Moves moves;
     for (int d = 0; d < DIRECTIONS; d++) {
-        const int64_t to_row = row + STEP_ROW[d], to_column = column + STEP_COLUMN[d];
-        const int inside = is_inside(to_row, to_column, space->height, space->width);
-        const int32_t gain = inside ? count_around(space, to_row, to_column, radius) : 0;
+        const int32_t gain = move_gain(space, batch, robot, radius, d);
         int place = d;
         for (; place > 0; place--) {
             const int other = moves.order[place - 1], same = !allowed[other] == !allowed[d];
@@ -544,8 +553,8 @@ static int32_t turn(int move, int64_t heading) {
 
 /* ------------------------------------------------------------------------- the tables */
 
-static void write_frontiers(Space *space, const Batch *batch, int64_t robot, const Chosen *chosen,
-                            const Moves *moves) {
+static void write_frontiers(Space *space, const Batch *batch, int64_t robot, int64_t radius,
+                            const Chosen *chosen, const Moves *moves) {
     const int64_t *goal = batch->goals + 2 * robot;
     int32_t *entries = batch->frontiers + robot * MAX_FRONTIERS * COLUMNS;
     Regions regions = {.number = 0};
@@ -558,11 +567,11 @@ static void write_frontiers(Space *space, const Batch *batch, int64_t robot, con
             chosen->moves[i],
             move,
             chosen->merged[i],
-            count_around(space, row, column, batch->radius),
-            count_around(space, row, column, 2 * batch->radius),
-            count_around(space, row, column, 4 * batch->radius),
+            count_around(space, row, column, radius),
+            count_around(space, row, column, 2 * radius),
+            count_around(space, row, column, 4 * radius),
             largest_pocket(space, &regions, chosen->cell[i]),
-            isolation(chosen, i, (int32_t)least(batch->radius, FAR_CELLS)),
+            isolation(chosen, i, (int32_t)least(radius, FAR_CELLS)),
             moves->gain[move],
             batch->allowed[robot * DIRECTIONS + move] != 0,
             turn(move, batch->headings[robot]),
@@ -654,20 +663,20 @@ static int write_teammates(Space *space, const Batch *batch, int64_t robot, cons
 static int write_robot(Space *space, const Batch *batch, int64_t robot) {
     const int64_t row = batch->positions[2 * robot], column = batch->positions[2 * robot + 1];
     const int64_t cells = space->height * space->width;
+    const int64_t radius = batch->radii[robot % batch->kinds];
     if (!is_inside(row, column, space->height, space->width))
         return OUTSIDE;
     Chosen chosen;
     read_map(space, batch->maps + robot * cells, batch->covered + robot * cells);
     const int64_t open = find_paths(space, row, column, batch->taken + robot * DIRECTIONS);
-    thin(space, open, batch->radius, &chosen);
+    thin(space, open, radius, &chosen);
     batch->all_covered[robot] = open == 0 && reaches_frontiers(space);
-    const Moves moves =
-        rank_moves(space, row, column, batch->allowed + robot * DIRECTIONS, batch->radius);
-    write_frontiers(space, batch, robot, &chosen, &moves);
+    const Moves moves = rank_moves(space, batch, robot, radius);
+    write_frontiers(space, batch, robot, radius, &chosen, &moves);
     return write_teammates(space, batch, robot, &chosen, &moves);
 }
 
-/* The tables of robots `first` to `last` - 1.
+/* The tables of robots `first` to `last` - 1; near gains are those in the square of radius k.
  * Returns 0, 1 when memory is out, 2 when a position is outside its map, or 3 when a cell is in
  * which a teammate was seen. */
 int marl_explore_goal_tables(const Batch *batch, int64_t first, int64_t last) {

@@ -7,10 +7,13 @@
 
 enum { UNKNOWN = -1, FREE = 0, OCCUPIED = 1 };
 enum { DIRECTIONS = 8 };
-enum { DONE = 0, NO_MEMORY = 1, OUTSIDE = 2, SEEN_OUTSIDE = 3 };
+enum { DONE = 0, NO_MEMORY = 1, OUTSIDE = 2, SEEN_OUTSIDE = 3, NO_SUCH = 4 };
 
 static const int STEP_ROW[DIRECTIONS] = {-1, -1, 0, 1, 1, 1, 0, -1};
 static const int STEP_COLUMN[DIRECTIONS] = {0, 1, 1, 1, 0, -1, -1, -1};
+
+static inline int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
+static inline int64_t most(int64_t a, int64_t b) { return a > b ? a : b; }
 
 static inline int is_inside(int64_t row, int64_t column, int64_t height, int64_t width) {
     return row >= 0 && row < height && column >= 0 && column < width;

@@ -57,7 +57,7 @@ class Cell:
             "code": source_digest(planner=not self.trained),
             "suite": self.suite.id,
             "fingerprint": self.suite.digest,
-            "arena": asdict(self.suite.config),
+            "arena": json.loads(json.dumps(asdict(self.suite.config))),  # tuples become lists
             "num_arenas": self.num_arenas,
             "steps": self.steps,
             "seed": self.seed,

@@ -23,7 +23,13 @@ from tqdm import tqdm
 from marl_explore.core.mapping import target_cells
 from marl_explore.evaluation.plots.style import STYLE, save
 from marl_explore.utils.files import atomic_write
-from marl_explore.utils.palette import FREE_COLOR, OBSTACLE_COLOR, UNKNOWN_COLOR, robot_color
+from marl_explore.utils.palette import (
+    FREE_COLOR,
+    OBSTACLE_COLOR,
+    UNKNOWN_COLOR,
+    WALKER_COLOR,
+    robot_color,
+)
 
 DPI = 80
 """Of animations."""
@@ -152,6 +158,9 @@ class _Frame:
         self.position = agents.get("position")[arena].numpy()
         self.maps = agents.get("map")[arena].numpy()
         self.merged = agents.get("merged")[arena].numpy()
+        self.failed = ~agents.get("alive")[arena].numpy()
+        walkers = observation.get("walkers", None)
+        self.walkers = np.zeros((0, 2)) if walkers is None else walkers[arena].numpy()
 
 
 class _Panel:
@@ -170,6 +179,7 @@ class _Panel:
         self.rings = [
             axes.plot([], [], "o", color=c, markersize=12, fillstyle="none")[0] for c in colors
         ]
+        (self.walkers,) = axes.plot([], [], "D", color=WALKER_COLOR, markersize=4)
 
     def draw(
         self, grid: NDArray[Any], paths: Sequence[NDArray[Any]], merged: Sequence[bool], title: str
@@ -184,6 +194,12 @@ class _Panel:
             place.set_data(path[-1:, 1], path[-1:, 0])
             last = path[-1:] if exchanges else path[:0]
             ring.set_data(last[:, 1], last[:, 0])
+
+    def mark(self, failed: Sequence[bool], walkers: NDArray[Any]) -> None:
+        """Show robots that have failed as crosses, and walkers (row, column)."""
+        for place, has_failed in zip(self.places, failed, strict=True):
+            place.set_marker("X" if has_failed else "o")
+        self.walkers.set_data(walkers[:, 1], walkers[:, 0])
 
 
 def _panels(frames: Sequence[_Frame]) -> tuple[Figure, Callable[[int], None]]:
@@ -210,10 +226,12 @@ def _panels(frames: Sequence[_Frame]) -> tuple[Figure, Callable[[int], None]]:
         frame = frames[t]
         paths = path[:, : t + 1]
         truth.draw(frame.obstacles.astype(int), [*paths], frame.merged.tolist(), f"step {t}")
+        truth.mark(frame.failed.tolist(), frame.walkers)
         for robot, panel in enumerate(own):
             known = (frame.maps[robot] >= 0)[reachable].mean()
             title = f"robot {robot}: {known:.0%} known"
             panel.draw(frame.maps[robot], [paths[robot]], [False], title)
+            panel.mark([bool(frame.failed[robot])], frame.walkers[:0])
 
     return figure, draw
 

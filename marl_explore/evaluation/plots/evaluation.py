@@ -133,7 +133,7 @@ def seeds_figure(
 
 
 def enlargement_figure(
-    enlargements: Mapping[str, Tensor], max_discovery: int, path: str | Path
+    enlargements: Mapping[str, Tensor], max_discovery: int | Sequence[int], path: str | Path
 ) -> Path:
     """Distribution of what merges add to maps: the share of merges that add more than x cells.
 
@@ -143,9 +143,10 @@ def enlargement_figure(
     Args:
         enlargements: per policy int [any], as from ``metrics.enlargements``, including zeros; a
             policy without any is left out.
-        max_discovery: e_max (cells).
+        max_discovery: e_max (cells), of each robot if they differ; the largest is drawn.
         path: image file to write.
     """
+    most = max_discovery if isinstance(max_discovery, int) else max(max_discovery)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7, 3.6), layout="constrained")
         axes = figure.subplots()
@@ -155,10 +156,10 @@ def enlargement_figure(
             counts = enlargements[name].bincount().numpy()
             more = 100 * (1 - counts.cumsum() / counts.sum())
             axes.step(np.arange(len(more)), more, where="post", **style)
-        axes.axvline(max_discovery, color="black", linewidth=1)
+        axes.axvline(most, color="black", linewidth=1)
         axes.annotate(
-            f" $e_{{max}}$ = {max_discovery}",
-            (max_discovery, 1),
+            f" $e_{{max}}$ = {most}",
+            (most, 1),
             xycoords=("data", "axes fraction"),
             va="top",
         )

@@ -10,9 +10,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.core.communication import networks
-from marl_explore.core.grid import COMMUNICATE, UNKNOWN
+from marl_explore.core.grid import UNKNOWN
 from marl_explore.core.mapping import known_mask, target_cells
+from marl_explore.core.sensing import UNSEEN, bordered, surroundings
+from marl_explore.core.survivors import largest_of_living
+from marl_explore.core.world import carrying
 from marl_explore.evaluation.metrics import snapshot
 from marl_explore.transforms import FrontierReachability
 
@@ -50,13 +52,15 @@ def episode_data(
         "height": config.height,
         "width": config.width,
         "fov_radius": config.fov_radius,
+        "seen": _seen(obstacles, position, config),
         "obstacles": obstacles.flatten().nonzero().flatten().tolist(),
         "known_since": since.flatten(1).tolist(),
         "cell": (position[..., 0] * config.width + position[..., 1]).tolist(),
         "refused": _over_time(steps, arena, "dangerous").int().tolist(),
         "received": _over_time(steps, arena, "received").tolist(),
-        **_radio(steps, arena, _over_time(steps, arena, "linked")),
-        **_coverage(maps, target_cells(obstacles, position[0])),
+        **_radio(steps, arena, config),
+        **_events(steps, arena, config),
+        **_coverage(maps, target_cells(obstacles, position[0]), _over_time(steps, arena, "alive")),
         **_frontiers(maps, position),
     }
 
@@ -86,13 +90,16 @@ def _check_order(maps: Tensor, obstacles: Tensor, since: Tensor) -> None:
         )
 
 
-def _radio(steps: Sequence[TensorDictBase], arena: int, linked: Tensor) -> dict[str, Any]:
+def _radio(steps: Sequence[TensorDictBase], arena: int, config: ArenaConfig) -> dict[str, Any]:
     """Actions, and the pairs of robots that were linked and that exchanged their maps."""
+    linked = _over_time(steps, arena, "linked")
+    key, now = (
+        torch.stack([step[name][arena] for step in steps]).cpu()
+        for name in ("draw_key", "step_count")
+    )
     actions = [step["agents", "action"][arena].cpu() for step in steps[1:]]
-    communicating = torch.zeros_like(linked[..., 0])  # nobody, before the reset
-    for t, action in enumerate(actions, 1):
-        communicating[t] = action == COMMUNICATE
-    merging = linked & networks(linked, communicating)
+    together = _over_time(steps, arena, "steps_since_merge") == 0
+    merging = together & carrying(config, linked, key, now - 1)
     return {
         "action": [[], *(action.tolist() for action in actions)],
         "linked": [_pairs(matrix) for matrix in linked],
@@ -106,12 +113,38 @@ def _pairs(matrix: Tensor) -> list[list[int]]:
     return pairs
 
 
-def _coverage(maps: Tensor, target: Tensor) -> dict[str, Any]:
-    """Target cells, and how many of them each robot and the union of the maps knew."""
-    counts = snapshot(maps, target.unsqueeze(0))
+def _events(steps: Sequence[TensorDictBase], arena: int, config: ArenaConfig) -> dict[str, Any]:
+    """From which step each robot had failed, T + 1 if never; and the cells of walkers."""
+    failed_since = _over_time(steps, arena, "alive").sum(0).tolist()
+    if not config.num_walkers:
+        return {"failed_since": failed_since, "walkers": []}
+    walkers = torch.stack([step["walkers"][arena] for step in steps]).cpu()
+    cells = walkers[..., 0] * config.width + walkers[..., 1]
+    return {"failed_since": failed_since, "walkers": cells.tolist()}
+
+
+def _seen(obstacles: Tensor, position: Tensor, config: ArenaConfig) -> list[list[str]] | None:
+    """The cells that each robot sees: bits of its window, row by row, in hexadecimal digits.
+
+    None if the robots see all of their windows. In a step in which a robot fails, and later, it
+    sees nothing; the player knows.
+    """
+    if config.sight.fills_windows:
+        return None
+    walls = bordered(obstacles, config.fov_radius).expand(len(position), -1, -1)
+    seen = (surroundings(walls, position, config.sight) != UNSEEN).flatten(-2)
+    digits = torch.nn.functional.pad(seen, (0, -seen.shape[-1] % 4)).unflatten(-1, (-1, 4))
+    values = (digits * torch.tensor((8, 4, 2, 1))).sum(-1).tolist()
+    return [["".join(f"{digit:x}" for digit in robot) for robot in step] for step in values]
+
+
+def _coverage(maps: Tensor, target: Tensor, alive: Tensor) -> dict[str, Any]:
+    """Target cells, and how many of them each robot and the union of living maps knew."""
+    counts = snapshot(maps, target.unsqueeze(0), alive)
     return {
         "num_targets": int(target.sum()),
         "known_targets": counts.known_targets.tolist(),
+        "largest_targets": largest_of_living(counts.known_targets, alive).tolist(),
         "union_targets": counts.union_targets.tolist(),
     }
 

@@ -2,9 +2,9 @@
 // The controls: they change `state`, and show() brings the page in line with it.
 
 const SPEEDS = [1, 2, 4, 8, 16, 32]; // steps per second
-const LAYERS = ["Trails", "Links", "Frontiers", "Arrows", "Field of view"];
+const LAYERS = ["Trails", "Links", "Frontiers", "Arrows", "Sight"];
 const ACTIONS = ["\u2191 N", "\u2197 NE", "\u2192 E", "\u2198 SE", "\u2193 S", "\u2199 SW", "\u2190 W", "\u2196 NW", "stay", "communicate"];
-const THEME = ["unknown", "free", "obstacle", "frontier", "grid", "link", "outline"];
+const THEME = ["unknown", "free", "obstacle", "frontier", "grid", "link", "outline", "walker"];
 const COMMUNICATE = 9;
 
 const element = (id) => document.getElementById(id);
@@ -141,8 +141,8 @@ function buildRobots(robots) {
 }
 
 function drawCurves() {
-  const { known_targets, union_targets, num_targets } = state.episode;
-  const curves = { largest: known_targets.map((known) => Math.max(...known)), merged: union_targets };
+  const { largest_targets, union_targets, num_targets } = state.episode;
+  const curves = { largest: largest_targets, merged: union_targets };
   for (const [name, curve] of Object.entries(curves)) {
     const points = curve.map((known, step) => `${alongChart(step)},${100 - 100 * known / num_targets}`);
     document.querySelector(`#chart .${name}`).setAttribute("points", points.join(" "));
@@ -167,7 +167,7 @@ function show() {
   const { episode, step } = state, share = (known) => percent(known, episode.num_targets);
   element("arena").textContent = `${episode.name} \u00b7 ${episode.height} \u00d7 ${episode.width} cells \u00b7 ${episode.known_since.length} robots`;
   element("step").textContent = `${step} / ${lastStep()}`;
-  element("largest").textContent = share(Math.max(...episode.known_targets[step]));
+  element("largest").textContent = share(episode.largest_targets[step]);
   element("merged").textContent = share(episode.union_targets[step]);
   showControls();
   showRobots();
@@ -197,8 +197,9 @@ function showRobots() {
     const known = episode.known_targets[step][robot], refused = episode.refused[step][robot];
     row.cells[1].textContent = percent(known, episode.num_targets);
     row.cells[1].style.setProperty("--share", known / episode.num_targets);
-    row.cells[2].textContent = lastAction(episode, step, robot);
-    row.cells[2].classList.toggle("refused", Boolean(refused));
+    const failed = hasFailed(episode, step, robot);
+    row.cells[2].textContent = failed ? `failed at step ${episode.failed_since[robot]}` : lastAction(episode, step, robot);
+    row.cells[2].classList.toggle("refused", Boolean(refused) || failed);
   });
 }
 

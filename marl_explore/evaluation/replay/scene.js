@@ -4,12 +4,17 @@
 const TRUTH = "truth", MERGED = "merged"; // the other views are robots' numbers
 const DISC = 0.36; // radius of a robot
 
-/** Step from which each cell counts as known in a view. */
-function knownSince(episode, view) {
+/** Step from which each cell counts as known in a view; what only failed robots knew is lost. */
+function knownSince(episode, view, step) {
   const own = episode.known_since;
   if (view === TRUTH) return own[0].map(() => 0);
-  if (view === MERGED) return own[0].map((_, cell) => Math.min(...own.map((robot) => robot[cell])));
-  return own[view];
+  if (view !== MERGED) return own[view];
+  const living = own.filter((_, robot) => !hasFailed(episode, step, robot));
+  return own[0].map((_, cell) => Math.min(...living.map((robot) => robot[cell])));
+}
+
+function hasFailed(episode, step, robot) {
+  return episode.failed_since[robot] <= step;
 }
 
 /** Cells above, below, left and right of a cell, inside the arena. */
@@ -48,15 +53,16 @@ function drawScene(context, scene) {
   context.setTransform(scene.scale, 0, 0, scene.scale, 0, 0);
   context.lineCap = context.lineJoin = "round";
   drawCells(context, scene);
-  layer("Field of view", drawFields);
+  layer("Sight", drawSight);
   layer("Trails", drawTrails);
   layer("Links", drawLinks);
   layer("Arrows", drawArrows);
+  drawWalkers(context, scene);
   drawRobots(context, scene);
 }
 
 function drawCells(context, { episode, step, view, layers, theme, scale }) {
-  const since = knownSince(episode, view);
+  const since = knownSince(episode, view, step);
   const gap = 1 / scale; // a hair line between cells
   context.fillStyle = theme.grid;
   context.fillRect(0, 0, episode.width, episode.height);
@@ -77,16 +83,49 @@ function robotsOf({ episode, step, view, colors }) {
   });
 }
 
-function drawFields(context, scene) {
-  const radius = scene.episode.fov_radius + 0.45;
-  for (const [, cell, color, strength] of robotsOf(scene)) {
-    const [x, y] = centre(scene.episode, cell);
+/** The same, of robots that have not failed. */
+function livingOf(scene) {
+  return robotsOf(scene).filter(([robot]) => !hasFailed(scene.episode, scene.step, robot));
+}
+
+/** The outline of what each robot sees. */
+function drawSight(context, scene) {
+  const { episode, step } = scene, radius = episode.fov_radius + 0.45;
+  for (const [robot, cell, color, strength] of livingOf(scene)) {
+    const [x, y] = centre(episode, cell);
     context.strokeStyle = color;
     context.lineWidth = 0.06 * scene.zoom;
     context.globalAlpha = 0.8 * strength;
-    context.strokeRect(x - radius, y - radius, 2 * radius, 2 * radius);
+    if (episode.seen) outline(context, seenCells(episode, episode.seen[step][robot], x, y));
+    else context.strokeRect(x - radius, y - radius, 2 * radius, 2 * radius);
   }
   context.globalAlpha = 1;
+}
+
+/** Cells "column,row" that a robot at a centre sees, from the bits of its window. */
+function seenCells(episode, bits, x, y) {
+  const radius = episode.fov_radius, side = 2 * radius + 1, cells = new Set();
+  for (let at = 0; at < side * side; at += 1) {
+    if (!(parseInt(bits[at >> 2], 16) & (8 >> (at & 3)))) continue;
+    const column = Math.floor(x) - radius + at % side, row = Math.floor(y) - radius + Math.floor(at / side);
+    cells.add(`${column},${row}`);
+  }
+  return cells;
+}
+
+/** Stroke the sides at which a set of cells "column,row" ends. */
+function outline(context, cells) {
+  context.beginPath();
+  for (const cell of cells) {
+    const [column, row] = cell.split(",").map(Number);
+    const sides = [[0, -1, 0, 0, 1, 0], [0, 1, 0, 1, 1, 1], [-1, 0, 0, 0, 0, 1], [1, 0, 1, 0, 1, 1]];
+    for (const [across, along, fromX, fromY, toX, toY] of sides) {
+      if (cells.has(`${column + across},${row + along}`)) continue;
+      context.moveTo(column + fromX, row + fromY);
+      context.lineTo(column + toX, row + toY);
+    }
+  }
+  context.stroke();
 }
 
 function drawTrails(context, scene) {
@@ -127,7 +166,7 @@ function drawPairs(context, { episode, step, theme, zoom }, pairs, width, alpha)
 /** A robot's table per direction: length is the share of its paths, width how near they end. */
 function drawArrows(context, scene) {
   const { episode, step } = scene;
-  for (const [robot, cell, color, strength] of robotsOf(scene)) {
+  for (const [robot, cell, color, strength] of livingOf(scene)) {
     if (strength < 1) continue; // what the others know is not on this map
     const paths = episode.paths[step][robot], length = episode.path_length[step][robot];
     const all = paths.reduce((sum, count) => sum + count, 0);
@@ -172,11 +211,40 @@ function drawRobots(context, scene) {
     context.save();
     context.translate(...centre(episode, cell));
     context.scale(zoom, zoom);
-    context.globalAlpha = strength;
+    const failed = hasFailed(episode, step, robot);
+    context.globalAlpha = failed ? 0.6 : strength;
     disc(context, DISC + rim, rimColor);
     disc(context, DISC, color);
-    context.fillStyle = textOn(color);
+    context.fillStyle = context.strokeStyle = textOn(color);
     context.fillText(robot, 0, 0.02);
+    if (failed) cross(context);
+    context.restore();
+  }
+}
+
+/** A cross over a robot that has failed. */
+function cross(context) {
+  context.beginPath();
+  for (const side of [-1, 1]) {
+    context.moveTo(-0.25 * side, -0.25);
+    context.lineTo(0.25 * side, 0.25);
+  }
+  context.lineWidth = 0.1;
+  context.stroke();
+}
+
+/** People who walk about, as squares that stand on a corner. */
+function drawWalkers(context, { episode, step, theme, zoom }) {
+  for (const cell of episode.walkers[step] ?? []) {
+    context.save();
+    context.translate(...centre(episode, cell));
+    context.scale(zoom, zoom);
+    context.rotate(Math.PI / 4);
+    context.fillStyle = theme.walker;
+    context.fillRect(-0.24, -0.24, 0.48, 0.48);
+    context.lineWidth = 0.06;
+    context.strokeStyle = theme.outline;
+    context.strokeRect(-0.24, -0.24, 0.48, 0.48);
     context.restore();
   }
 }

@@ -76,7 +76,6 @@ class FeatureScaling(nn.Module):
     """The features, choices and prior of R robots, whose candidates have shapes [R, ...].
 
     Args:
-        radius: half side of the field of view (cells).
         every: robots may communicate every so many steps, besides when it is overdue.
         after: minimum steps since the last exchange with a linked robot before doing so.
     """
@@ -86,9 +85,9 @@ class FeatureScaling(nn.Module):
     shared_halves: Tensor
     order: Tensor
 
-    def __init__(self, radius: int, every: int, after: int) -> None:
+    def __init__(self, every: int, after: int) -> None:
         super().__init__()
-        self.radius, self.every, self.after = radius, every, after
+        self.every, self.after = every, after
         # saved with the policy: its prior does not follow later changes of the planner
         self.register_buffer("weights", GoalWeights().as_tensor().to(torch.get_default_dtype()))
         for name, numbers in _BUFFERS.items():
@@ -108,7 +107,7 @@ class FeatureScaling(nn.Module):
             candidates.mates[row],
             candidates.context[row],
         )
-        terms = place_terms(alone.frontiers, self.radius)
+        terms = place_terms(alone)
         utility = frontier_utility(alone, terms, self.weights)
         visit = mate_utility(candidates, self.weights)
         due = overdue(candidates, self.weights)

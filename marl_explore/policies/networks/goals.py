@@ -69,11 +69,11 @@ class Goals(Network):
 
     def make_actor(self, arena: ArenaConfig) -> GoalActor:
         """As ``Network.make_actor``."""
-        return GoalActor(arena, self)
+        return GoalActor(self)
 
     def make_observation_critic(self, arena: ArenaConfig, robot: int | None) -> GoalCritic:
         """As ``Network.make_observation_critic``."""
-        return GoalCritic(arena, self, robot)
+        return GoalCritic(self, robot)
 
 
 class _Codes(NamedTuple):
@@ -95,16 +95,13 @@ class GoalEncoder(nn.Module):
     After Zaheer et al., "Deep Sets", 2017.
 
     Args:
-        arena: only its field of view matters.
         options: see ``Goals``.
     """
 
-    def __init__(self, arena: ArenaConfig, options: Goals) -> None:
+    def __init__(self, options: Goals) -> None:
         super().__init__()
         self.width = options.code_width
-        self.features = FeatureScaling(
-            arena.fov_radius, options.communicate_every, options.communicate_after
-        )
+        self.features = FeatureScaling(options.communicate_every, options.communicate_after)
         width, pair = options.code_width, options.pair_width
         self.pair = _layers(PAIR_SIZE, pair, pair)
         self.frontier = _layers(FRONTIER_SIZE + 2 * pair + CONTEXT_SIZE, width)
@@ -165,16 +162,15 @@ class GoalActor(nn.Module):
     They start as a linear utility, times ``options.prior``, which training refines.
 
     Args:
-        arena: only its field of view matters.
         options: see ``Goals``.
     """
 
     inputs = Candidates._fields
     chooses = Goals.chooses
 
-    def __init__(self, arena: ArenaConfig, options: Goals) -> None:
+    def __init__(self, options: Goals) -> None:
         super().__init__()
-        self.encoder = GoalEncoder(arena, options)
+        self.encoder = GoalEncoder(options)
         width = options.code_width
         score = nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, 1))
         self.score = initialize(score, ACTOR_GAIN)
@@ -201,15 +197,14 @@ class GoalCritic(nn.Module):
     """Value [*B, 1] of the choices of all robots, or of one robot's.
 
     Args:
-        arena: only its field of view matters.
         options: see ``Goals``.
         robot: reads only this robot's; None: those of all.
     """
 
-    def __init__(self, arena: ArenaConfig, options: Goals, robot: int | None) -> None:
+    def __init__(self, options: Goals, robot: int | None) -> None:
         super().__init__()
         self.robot = robot
-        self.encoder = GoalEncoder(arena, options)
+        self.encoder = GoalEncoder(options)
         inputs = 2 * (2 * options.code_width + CONTEXT_SIZE)
         layers = nn.Sequential(nn.Linear(inputs, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
         self.layers = initialize(layers.append(nn.Linear(64, 1)), CRITIC_GAIN)

@@ -22,7 +22,7 @@ from marl_explore.utils.palette import COLORS
 CONFIG = ArenaConfig()
 POLICIES = ("nearest-timer", "random")
 CODES = {"unknown": -1, "free": 0, "obstacle": 1, "frontier": 2}
-LAYERS = ("Trails", "Links", "Frontiers", "Arrows", "Field of view")
+LAYERS = ("Trails", "Links", "Frontiers", "Arrows", "Sight")
 STEP = 9  # a step with something of every layer to see
 
 

@@ -90,7 +90,14 @@ def test_both_hold_every_file_of_the_package(built, files):
         names = set(archive.namelist())
     assert files <= names
     kernels = {name for name in names if name.startswith("marl_explore/core/native/_")} - files
-    assert {name.split("/")[-1].split(".")[0] for name in kernels} == {"_frontier", "_goals"}
+    assert {name.split("/")[-1].split(".")[0] for name in kernels} == {
+        "_frontier",
+        "_goals",
+        "_beam",
+        "_merging",
+        "_paths",
+        "_sight",
+    }
     assert {n for n in names if n.startswith("marl_explore/")} == files | kernels
     with tarfile.open(sdist) as archive:
         top = sdist.name.removesuffix(".tar.gz")

@@ -1,0 +1,77 @@
+"""What robots sense and merge: the kernels in C give what torch gives."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+
+from marl_explore.arenas import Uniform
+from marl_explore.config.arena import ArenaConfig
+from marl_explore.core import native, sensing
+from marl_explore.core.grid import COMMUNICATE, STAY
+from marl_explore.core.world import advance, exchange, start
+from tests.helpers.strategies import repeatable
+from tests.helpers.wide_worlds import wide_scenarios
+
+pytestmark = pytest.mark.skipif(native.missing("sense") is not None, reason="no C compiler")
+
+
+@repeatable(max_examples=100)
+@given(scenario=wide_scenarios(max_side=16, max_steps=4))
+def test_views_and_maps_are_those_of_torch(scenario):
+    config = scenario.config
+    state = start(config, **scenario.start())
+    for action in scenario.actions:
+        looks = [
+            sensing.surroundings(
+                state.walls, state.position, config.sight, state.walkers, backend=backend
+            )
+            for backend in ("torch", "native")
+        ]
+        assert looks[0].equal(looks[1])
+        before = state.map
+        state, _ = advance(config, state, action)
+        everyone = [None] if all(all(episode.alive) for episode in scenario.episodes) else []
+        for alive in (state.alive, *everyone):
+            views = sensing.surroundings(state.walls, state.position, config.sight)
+            by_torch, by_kernel = (
+                sensing.sense(before, views, state.position, state.target, alive, backend)
+                for backend in ("torch", "native")
+            )
+            assert all(a.equal(b) for a, b in zip(by_torch, by_kernel, strict=True))
+
+
+def test_robots_outside_are_refused():
+    sight = sensing.Sight.square(1)
+    walls = sensing.bordered(torch.zeros(1, 3, 3, dtype=torch.bool), 1)
+    with pytest.raises(ValueError, match="outside its map"):
+        sensing.surroundings(walls, torch.tensor([[[3, 3]]]), sight, backend="native")
+    view = torch.zeros(1, 1, 3, 3, dtype=torch.int8)
+    grid = torch.zeros(1, 1, 3, 3, dtype=torch.int8)
+    with pytest.raises(ValueError, match="outside its map"):
+        sensing.sense(
+            grid, view, torch.tensor([[[3, 0]]]), torch.zeros(1, 3, 3).bool(), backend="native"
+        )
+
+
+@pytest.mark.parametrize("robots", [1, 2, 5, 16, 17, 40])
+def test_merged_maps_are_those_of_torch(robots):
+    """Also for large teams, whose networks torch finds by labels."""
+    random = torch.Generator().manual_seed(robots)
+    config = ArenaConfig(9, 8, obstacle_density=0.1, num_agents=robots)
+    obstacles, position = Uniform(config)(0, torch.arange(12), torch.zeros(12, dtype=torch.int64))
+    state = start(config, obstacles, position)
+    known = torch.rand(state.map.shape, generator=random) < 0.3
+    grid = torch.where(known, obstacles.unsqueeze(1).to(torch.int8), state.map)
+    share = 1.5 / robots
+    linked = torch.rand(12, robots, robots, generator=random) < share
+    linked = linked | linked.mT | torch.eye(robots, dtype=torch.bool)
+    action = torch.where(torch.rand(12, robots, generator=random) < 0.7, COMMUNICATE, STAY)
+    maps = {backend: grid.clone() for backend in ("torch", "native")}
+    brought = [exchange(maps[b], state, linked, action, backend=b) for b in maps]
+    assert all(a.equal(b) for a, b in zip(*brought, strict=True))
+    assert maps["torch"].equal(maps["native"])
+    assert robots == 1 or brought[0].received.any()
+    member = brought[0].network.diagonal(dim1=-2, dim2=-1)
+    assert maps["torch"][~member].equal(grid[~member])
