@@ -139,10 +139,10 @@ def _flooded(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
 def finishable(
     obstacles: Tensor, position: Tensor, alive: Tensor, grid: Tensor, target: Tensor
 ) -> Tensor:
-    """Whether the living robots know all target cells or can still see them, bool [*B].
+    """Whether the living robots know all target cells or can still drive to them, bool [*B].
 
-    They drive around robots that failed; walkers do not count. That two of them may never meet to
-    share what they know is not considered.
+    They drive around robots that failed; walkers do not count. That they might see past one, or may
+    never meet to share what they know, is not considered.
 
     Args:
         obstacles: bool [*B, H, W].

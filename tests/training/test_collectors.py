@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -39,14 +40,14 @@ class Likeliest(TeamActor):
             return super().forward(tensordict)
 
 
-def rollouts(run, batches=2, policy_class=Likeliest):
+def rollouts(run, batches=2, policy_class=Likeliest, config=CONFIG):
     """Some batches of a team that was never trained."""
     torch.manual_seed(0)
-    actors = [MLP(hidden=(16,)).make_actor(CONFIG.arena) for _ in range(2)]
+    actors = [MLP(hidden=(16,)).make_actor(config.arena) for _ in range(2)]
     with torch.no_grad():
         for actor in actors:  # far apart, so that roundings choose no action
             actor.layers[-1].weight.mul_(100)
-    create_env = partial(make_training_env, CONFIG)
+    create_env = partial(make_training_env, config)
     collector = make_collector(create_env, policy_class(actors), num_envs=4, steps=9, run=run)
     iterator = iter(collector)
     collected = [next(iterator).clone() for _ in range(batches)]
@@ -59,16 +60,52 @@ def here():
     return rollouts(RunConfig())
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_the_number_of_workers_does_not_change_the_data(here, workers):
-    there = rollouts(RunConfig(collector="multisync", workers=workers))
+WIDE = replace(
+    CONFIG,
+    arena=replace(
+        CONFIG.arena,
+        sensing_range=(1.5, 2.0),
+        sensing_shape="disc",
+        line_of_sight=True,
+        wall_loss_db=3.0,
+        shadowing_db=4.0,
+        message_loss=0.2,
+        move_period=(1, 2),
+        failure_rate=0.05,
+        num_walkers=1,
+    ),
+)
+
+
+def assert_same_data(there, here):
     assert there.shape == here.shape == (4, 18)
-    assert here["next", "done"].any()
     for key in here.keys(True, True):
         if "action_log_prob" in key:
             torch.testing.assert_close(there[key], here[key], atol=1e-5, rtol=0)
         elif "traj_ids" not in key:
             assert torch.equal(there[key], here[key]), key
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_number_of_workers_does_not_change_the_data(here, workers):
+    assert_same_data(rollouts(RunConfig(collector="multisync", workers=workers)), here)
+    assert here["next", "done"].any()
+
+
+def test_workers_see_the_same_wider_world():
+    here = rollouts(RunConfig(), config=WIDE)
+    assert not here["agents", "alive"].all()
+    assert_same_data(rollouts(RunConfig(collector="multisync", workers=2), config=WIDE), here)
+
+
+def test_training_in_a_wider_world_goes_on_as_if_it_had_never_stopped():
+    run, other = (Trainer(WIDE, RunConfig(checkpoint_every=0, validate_every=0)) for _ in range(2))
+    run_to(run, 2)
+    state = deepcopy(run.state_dict())
+    rest = run_to(run, CONFIG.updates)
+    other.load_state_dict(state)  # and the random generator's
+    assert repr(run_to(other, CONFIG.updates)) == repr(rest)
+    assert all(torch.equal(a, b) for a, b in zip(weights(run), weights(other), strict=True))
 
 
 def test_workers_draw_different_actions():

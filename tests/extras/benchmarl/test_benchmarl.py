@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,20 @@ def unmoved(module, before):
 @pytest.mark.parametrize("algorithm", [MappoConfig, IppoConfig, QmixConfig, HappoConfig])
 def test_algorithms_train_on_the_exploration_task(tmp_path, algorithm):
     run, _ = assert_learns(task(), algorithm.get_from_yaml(), tmp_path)
+    assert run.total_frames == 400
+
+
+@pytest.mark.parametrize("algorithm", [MappoConfig, HappoConfig])
+def test_algorithms_train_where_robots_fail(tmp_path, algorithm):
+    wide = {
+        **asdict(SMALL),
+        "sensing_range": [1.5, 2.0, 2.0],
+        "sensing_shape": "disc",
+        "line_of_sight": True,
+        "failure_rate": 0.05,
+        "num_walkers": 1,
+    }
+    run, _ = assert_learns(task(config=wide), algorithm.get_from_yaml(), tmp_path)
     assert run.total_frames == 400
 
 
