@@ -99,13 +99,13 @@ def test_workers_see_the_same_wider_world():
 
 
 def test_training_in_a_wider_world_goes_on_as_if_it_had_never_stopped():
-    run, other = (Trainer(WIDE, RunConfig(checkpoint_every=0, validate_every=0)) for _ in range(2))
-    run_to(run, 2)
-    state = deepcopy(run.state_dict())
-    rest = run_to(run, CONFIG.updates)
-    other.load_state_dict(state)  # and the random generator's
-    assert repr(run_to(other, CONFIG.updates)) == repr(rest)
-    assert all(torch.equal(a, b) for a, b in zip(weights(run), weights(other), strict=True))
+    alone = RunConfig(checkpoint_every=0, validate_every=0)
+    whole, states = Trainer(WIDE, alone), []
+    curve = run_to(whole, CONFIG.updates, lambda run: states.append(deepcopy(run.state_dict())))
+    resumed = Trainer(WIDE, alone)
+    resumed.load_state_dict(states[0])
+    assert repr(run_to(resumed, CONFIG.updates)) == repr(curve[3:])
+    assert all(torch.equal(a, b) for a, b in zip(weights(resumed), weights(whole), strict=True))
 
 
 def test_workers_draw_different_actions():
