@@ -26,21 +26,24 @@ TABLE_COLUMNS = {
     "steps to 95 %": "steps_to_95",
     "steps to 100 %": "steps_to_100",
     "complete": "complete",
+    "finishable": "finishable",
     "coverage at 50": "coverage_at_50",
     "coverage at 150": "coverage_at_150",
     "communicate": "communication_share",
     "useful": "useful_share",
     "overlap": "overlap",
 }
-"""Columns of the printed table; the files hold every measure."""
+"""Columns of the printed table, the share of finishable arenas only where robots failed; the files
+hold every measure."""
 
 
 def format_table(results: dict[str, dict[str, float]]) -> str:
     """A text table of policies by their main measures."""
+    fail = any(row.get("failed_robots", 0) > 0 for row in results.values())
     columns = {
         title: key
         for title, key in TABLE_COLUMNS.items()
-        if all(key in row for row in results.values())
+        if all(key in row for row in results.values()) and (fail or key != "finishable")
     }
     rows = [
         [name, *(tables.number(measures[key]) for key in columns.values())]

@@ -383,3 +383,12 @@ def test_the_report_needs_nothing_else_and_escapes_names(tmp_path, monkeypatch):
     assert useful[:4].tolist() == [0.25] * 4
     assert useful[4:].isnan().all()
     assert [curve.tolist() for curve in drawn["tradeoff"]["good"]] == [[0, 7], [0.1, 0.6]]
+
+
+def test_the_share_of_finishable_arenas_is_shown_where_robots_failed(tmp_path):
+    for name, fails in (("faulty-32", True), ("lidar-32", False)):
+        cell = Cell("random", suite(name), num_arenas=4, steps=100, seed=0)
+        results = leaderboard.make_cells(tmp_path, [cell], progress=False)
+        rows = rank({"random": [results[cell]]})
+        assert ("| finishable |" in format_markdown([rows])) is fails
+        assert (" finishable " in format_text([rows])) is fails

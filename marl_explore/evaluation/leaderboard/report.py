@@ -15,7 +15,7 @@ import torch
 
 from marl_explore.evaluation import plots
 from marl_explore.evaluation.leaderboard.ranking import Row, title
-from marl_explore.evaluation.leaderboard.table import COLUMNS, MEANINGS, blocks
+from marl_explore.evaluation.leaderboard.table import MEANINGS, blocks, columns
 from marl_explore.evaluation.stats import Band
 from marl_explore.utils.files import write_text
 
@@ -66,7 +66,7 @@ def _section(rows: Sequence[Row], order: Sequence[str]) -> str:
 
 
 def _table(rows: Sequence[Row]) -> str:
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in COLUMNS)
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in columns(rows))
     bodies = (f"<tbody>{''.join(map(_line, block))}</tbody>" for block in blocks(rows))
     return (
         '<div class="wide" tabindex="0" role="region" aria-label="table">'

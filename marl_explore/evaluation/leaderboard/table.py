@@ -33,6 +33,7 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "steps to 100 %": _interval("steps_to_100"),
     "p90": _plain("steps_to_100_p90"),
     "complete": _plain("complete"),
+    "finishable": _plain("finishable"),
     "coverage at 20": _plain("coverage_at_20"),
     "at 50": _plain("coverage_at_50"),
     "at 150": _plain("coverage_at_150"),
@@ -49,6 +50,8 @@ MEANINGS = {
     "episode; in brackets the 95 % bootstrap interval over seeds and arenas",
     "p90": "9 of 10 arenas take at most this many steps to 100 %",
     "complete": "share of the arenas in which some map became complete",
+    "finishable": "where robots failed, share of the arenas in which those that are left can, at "
+    "the end, still complete a map",
     "coverage at 20, 50, 150": "mean coverage of the largest map at that step",
     "communicate": "communicate actions / all actions, before a map is complete",
     "useful": "communicate actions that enlarged the sender's map / communicate actions, over all "
@@ -62,26 +65,32 @@ MEANINGS = {
 """The meanings of the columns."""
 
 
+def columns(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
+    """The columns of a suite: without the share of finishable arenas where no robot failed."""
+    fail = any(row.measures.get("failed_robots", 0) > 0 for row in rows)
+    return {name: cell for name, cell in COLUMNS.items() if fail or name != "finishable"}
+
+
 def blocks(rows: Sequence[Row]) -> list[list[list[str]]]:
     """The table cells: first the competing rows, then the references."""
+    shown = columns(rows).values()
     groups = ([row for row in rows if row.reference is reference] for reference in (False, True))
-    return [
-        [[cell(row) for cell in COLUMNS.values()] for row in group] for group in groups if group
-    ]
+    return [[[cell(row) for cell in shown] for row in group] for group in groups if group]
 
 
 def format_text(boards: Sequence[Sequence[Row]]) -> str:
     """All suites as text."""
-    header = list(COLUMNS)
     return "\n\n".join(
-        f"{title(rows)}\n\n{tables.text(header, *blocks(rows))}\n" for rows in boards
+        f"{title(rows)}\n\n{tables.text([*columns(rows)], *blocks(rows))}\n" for rows in boards
     )
 
 
 def format_markdown(boards: Sequence[Sequence[Row]]) -> str:
     """All suites as Markdown."""
-    header = list(COLUMNS)
-    suites = (f"## {title(rows)}\n\n{tables.markdown(header, *blocks(rows))}\n" for rows in boards)
+    suites = []
+    for rows in boards:
+        table = tables.markdown([*columns(rows)], *blocks(rows))
+        suites.append(f"## {title(rows)}\n\n{table}\n")
     meanings = (f"- **{name}**: {meaning}\n" for name, meaning in MEANINGS.items())
     return "\n".join((*suites, "".join(meanings)))
 
