@@ -21,6 +21,7 @@ from marl_explore.core.grid import (
 )
 from marl_explore.core.native import Backend
 from marl_explore.core.native import paths as kernel
+from marl_explore.core.native.choice import in_use
 from marl_explore.core.wavefront import batch_last, flood, mask
 
 
@@ -116,7 +117,7 @@ def paths_to(
             a cell outside its map, and a map that there is not.
         RuntimeError: when the native backend is requested and cannot be used.
     """
-    if kernel.in_use(backend, grid.device):
+    if in_use("paths", backend, grid.device):
         return kernel.paths_to(grid, cells, which, starts)
     width, cell = grid.shape[-1], cells[which]
     direction, length = paths(grid[which], torch.stack((starts // width, starts % width), -1))

@@ -22,7 +22,7 @@ from marl_explore.core.grid import (
 )
 from marl_explore.core.native import Backend
 from marl_explore.core.native import sensing as kernel
-from marl_explore.core.native import sight as sight_kernel
+from marl_explore.core.native.choice import in_use
 from marl_explore.core.sight import line_of_sight, shapes
 
 OPEN, WALL, ROBOT, UNSEEN = 0, 1, 2, 4
@@ -60,7 +60,7 @@ def surroundings(
         cell = flat_cell(walkers, stride) + radius * (stride + 1)
         occupied = occupied.scatter_(-1, cell, ROBOT)
     masks = shapes(sight, walls.device)
-    if sight_kernel.in_use(backend, walls.device):
+    if in_use("surroundings", backend, walls.device):
         return kernel.surroundings(occupied.view(walls.shape), own, masks, sight.line_of_sight)
     index = own.unsqueeze(-1) + square_steps(radius, stride, walls.device)
     view = occupied.gather(-1, index.flatten(-2)).view(*own.shape, side, side)
@@ -155,7 +155,7 @@ def sense(
     """
     if alive is None:
         alive = torch.ones(position.shape[:-1], dtype=torch.bool, device=grid.device)
-    if sight_kernel.in_use(backend, grid.device):
+    if in_use("sense", backend, grid.device):
         return Sensed(*kernel.sense(grid, view, position, alive, target))
     # cells that are not seen are replaced by the own cell, whose value stays
     height, width = grid.shape[-2:]

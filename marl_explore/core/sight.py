@@ -15,6 +15,7 @@ from marl_explore.config.shapes import Sight, half_widths
 from marl_explore.core.grid import FREE, OCCUPIED, UNKNOWN, square_steps
 from marl_explore.core.native import Backend
 from marl_explore.core.native import sight as kernel
+from marl_explore.core.native.choice import in_use
 
 CELLS_AT_ONCE = 4_000_000
 """Cells of windows that are looked at together, which bounds the memory that it takes."""
@@ -107,7 +108,7 @@ def line_of_sight(wall: Tensor, backend: Backend = "auto") -> Tensor:
         ValueError: for an unknown backend, and by the native one for another dtype or shape.
         RuntimeError: when the native backend is requested and cannot be used.
     """
-    if kernel.in_use(backend, wall.device):
+    if in_use("sight", backend, wall.device):
         return kernel.line_of_sight(wall)
     side = wall.shape[-1]
     wall = wall.flatten(-2)
@@ -149,7 +150,7 @@ def expected_discoveries(
         RuntimeError: when the native backend is requested and cannot be used.
     """
     masks = shapes(sight, grid.device)
-    if kernel.in_use(backend, grid.device):
+    if in_use("discoveries", backend, grid.device):
         return kernel.expected_discoveries(grid, which, cell, kind, masks, sight.line_of_sight)
     radius, side = sight.radius, sight.side
     height, width = grid.shape[-2] + 2 * radius, grid.shape[-1] + 2 * radius

@@ -26,7 +26,7 @@ from marl_explore.core.mapping import (
 from marl_explore.core.motion import action_mask, dangerous_moves, in_turn, move, open_moves
 from marl_explore.core.native import Backend
 from marl_explore.core.native import merging as kernel
-from marl_explore.core.native.sight import in_use
+from marl_explore.core.native.choice import in_use
 from marl_explore.core.radio import pairs, reaches
 from marl_explore.core.rewards import StepRecord
 from marl_explore.core.sensing import blinded, bordered, sense, surroundings
@@ -315,7 +315,7 @@ def exchange(
         action: int64 [*B, N].
         backend: as for ``sight.line_of_sight``.
     """
-    if in_use(backend, grid.device):
+    if in_use("merge", backend, grid.device):
         return Exchanged(*kernel.merge(grid, linked, action == COMMUNICATE, state.target))
     robots, height, width = grid.shape[-3:]
     communicating = (action == COMMUNICATE).reshape(-1, robots)

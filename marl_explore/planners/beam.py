@@ -19,6 +19,7 @@ from marl_explore.core.grid import NUM_DIRECTIONS, STAY, flat_cell
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.native import Backend
 from marl_explore.core.native import beam as kernel
+from marl_explore.core.native.choice import in_use
 from marl_explore.core.wavefront import path_distances
 from marl_explore.planners.grid_tables import (
     GridTables,
@@ -172,7 +173,9 @@ class BeamSearch:
             visible = visible[rows, member % visible.shape[1]]
         problem = Problem(tables, occupied.flatten(1), target, share, distance, visible)
         plans = _start(unknown.flatten(1), flat_cell(position, width))
-        search = self._in_c if kernel.in_use(self.backend, unknown.device) else self._in_torch
+        search = (
+            self._in_c if in_use("beam values", self.backend, unknown.device) else self._in_torch
+        )
         plans = search(problem, plans)
         return plans.first[:, 0], plans.seen[:, 0] > 0
 

@@ -20,13 +20,14 @@ from marl_explore.config.constants import (
     MAX_FRONTIERS,
 )
 from marl_explore.config.shapes import Sight
-from marl_explore.core import goals, native
+from marl_explore.core import goals
 from marl_explore.core.goals import GoalTable, Situation, taken_cells
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
 from marl_explore.core.links import linked_others
 from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import Backend
 from marl_explore.core.native import goals as kernel
+from marl_explore.core.native.choice import in_use
 from marl_explore.transforms.memory import ALL_COVERED, MEMORY, from_tensordict
 
 READ: list[NestedKey] = [
@@ -80,9 +81,7 @@ def find_candidates(
     situation = Situation(
         grid, position, taken_cells(fov, grid, position), mask[..., :NUM_DIRECTIONS], memory
     )
-    c_code = backend == "native" or (
-        backend == "auto" and grid.device.type == "cpu" and native.missing("goals") is None
-    )
+    c_code = in_use("goals", backend, grid.device)
     table = (kernel if c_code else goals).goal_table(situation, sight)
     tensordict.set(ALL_COVERED, table.all_covered)
     now = tensordict.get("step_count")

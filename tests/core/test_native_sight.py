@@ -10,8 +10,9 @@ import torch
 from marl_explore.config.shapes import Sight
 from marl_explore.core import native, sight
 from marl_explore.core.native import sight as kernel
+from marl_explore.core.native.choice import MISSING
 
-needs_kernel = pytest.mark.skipif(kernel.MISSING is not None, reason=str(kernel.MISSING))
+needs_kernel = pytest.mark.skipif(MISSING["sight"] is not None, reason=str(MISSING["sight"]))
 
 DISCS = Sight("disc", (3.0, 1.5, 4.0), line_of_sight=True)
 
@@ -205,7 +206,8 @@ def test_what_is_not_there_is_refused(place):
 def test_without_a_kernel_torch_is_used(monkeypatch):
     reason = OSError("it was not built")
     monkeypatch.setattr(native, "_load", lambda name: reason)
-    monkeypatch.setattr(kernel, "MISSING", str(reason))
+    for name in MISSING:
+        monkeypatch.setitem(MISSING, name, str(reason))
     walls, queries = random_walls(5), random_queries(5)
     assert sight.line_of_sight(walls).any()
     assert sight.expected_discoveries(*queries, DISCS).equal(reference(*queries))

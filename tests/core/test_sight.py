@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from marl_explore.config.shapes import Sight, most_discovered, shape_radius
 from marl_explore.core import sight as rules
-from marl_explore.core.native import sight as kernel
+from marl_explore.core.native.choice import MISSING
 from marl_explore.core.sight import shape_mask
 from tests.helpers import world_oracle as oracle
 from tests.helpers.strategies import repeatable
 
 CPU = torch.device("cpu")
-BACKENDS = ["torch", "auto", *(["native"] if kernel.MISSING is None else [])]
+BACKENDS = ["torch", "auto", *(["native"] if MISSING["sight"] is None else [])]
 
 
 def by_every_backend(function, *inputs):

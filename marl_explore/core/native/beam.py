@@ -8,24 +8,10 @@ import torch
 from torch import Tensor
 
 from marl_explore.core import native
-from marl_explore.core.native import BACKENDS, Backend
 from marl_explore.core.native.threads import share_rows
 
 _PER_THREAD = 64
 """Turns in fewer problems finish before another thread has started."""
-
-
-def in_use(backend: Backend, device: torch.device) -> bool:
-    """Whether a backend is the native one for tensors on a device.
-
-    Raises:
-        ValueError: for an unknown backend.
-    """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend={backend!r} is not one of {BACKENDS}")
-    if backend == "auto":
-        return device.type == "cpu" and native.missing("beam values") is None
-    return backend == "native"
 
 
 class Search:

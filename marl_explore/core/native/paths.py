@@ -6,11 +6,8 @@ import torch
 from torch import Tensor
 
 from marl_explore.core import native
-from marl_explore.core.native import BACKENDS, Backend
 from marl_explore.core.native.threads import share_rows
 
-MISSING = native.missing("paths")
-"""Why the kernel cannot be used, or None; found once, as torch.compile cannot look for files."""
 CELLS_PER_THREAD = 2**17
 """Searches of maps of fewer cells in all finish before another thread has started."""
 
@@ -41,19 +38,6 @@ def _paths_to(grid: Tensor, cells: Tensor, which: Tensor, starts: Tensor) -> tup
 def _(grid: Tensor, cells: Tensor, which: Tensor, starts: Tensor) -> tuple[Tensor, Tensor]:
     shape = (len(which), cells.shape[-1])
     return which.new_empty(shape), which.new_empty(shape)
-
-
-def in_use(backend: Backend, device: torch.device) -> bool:
-    """Whether a backend is the native one for tensors on a device.
-
-    Raises:
-        ValueError: for an unknown backend.
-    """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend={backend!r} is not one of {BACKENDS}")
-    if backend == "auto":
-        return device.type == "cpu" and MISSING is None
-    return backend == "native"
 
 
 def paths_to(grid: Tensor, cells: Tensor, which: Tensor, starts: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,11 +6,7 @@ import torch
 from torch import Tensor
 
 from marl_explore.core import native
-from marl_explore.core.native import BACKENDS, Backend
 from marl_explore.core.native.threads import share_rows
-
-MISSING = native.missing("sight")
-"""Why the kernels cannot be used, or None; found once, as torch.compile cannot look for files."""
 
 CELLS_PER_THREAD = 2**19
 """Windows of fewer cells in all finish before another thread has started."""
@@ -88,19 +84,6 @@ def _(info: object, in_dims: tuple[int | None, ...], *inputs: Tensor | bool) -> 
     ]
     operator = torch.ops.marl_explore.expected_discoveries.default
     return torch.stack([operator(*entry) for entry in zip(*entries, strict=True)]), 0
-
-
-def in_use(backend: Backend, device: torch.device) -> bool:
-    """Whether a backend is the native one for tensors on a device.
-
-    Raises:
-        ValueError: for an unknown backend.
-    """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend={backend!r} is not one of {BACKENDS}")
-    if backend == "auto":
-        return device.type == "cpu" and MISSING is None
-    return backend == "native"
 
 
 def line_of_sight(wall: Tensor) -> Tensor:
