@@ -67,6 +67,29 @@ def reach_table(
     return tuple(limits)
 
 
+def _points(ahead: Tensor, most_moves: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The points between the ends of straight lines, one per move.
+
+    Args:
+        ahead: from start to end, int64 [*B, 2].
+        most_moves: lines of more moves than this are followed only so far; T is one less.
+
+    Returns:
+        Their cells, int64 [*B, 2, T] twice, which differ where a point is halfway between two, and
+        which of them there are, bool [*B, 1, T]; the others are at the start.
+    """
+    moves = ahead.abs().amax(-1, keepdim=True).unsqueeze(-1)  # m
+    step = torch.arange(1, max(most_moves, 1), device=ahead.device)
+    moved = step * ahead.unsqueeze(-1)
+    length = moves.clamp_min(1)
+    below = moved.div(length, rounding_mode="floor")
+    rest = 2 * (moved - below * length)
+    between = step < moves
+    # only one coordinate can lie halfway, so its two cells are those of all low or all high
+    low, high = (below + (rest > length)) * between, (below + (rest >= length)) * between
+    return low, high, between
+
+
 def walls_between(obstacles: Tensor, start: Tensor, end: Tensor, most_moves: int) -> Tensor:
     """Obstacles on the straight lines between pairs of cells, int64 [*B, P].
 
@@ -79,28 +102,31 @@ def walls_between(obstacles: Tensor, start: Tensor, end: Tensor, most_moves: int
         end: int64 [*B, P, 2].
         most_moves: lines of more moves than this are followed only so far.
     """
-    width = obstacles.shape[-1]
-    # short integers are faster, where they can number all cells
-    kind = torch.int32 if obstacles.numel() < 2**31 else torch.int64
-    start, end = start.to(kind), end.to(kind)
-    ahead = end - start
-    moves = ahead.abs().amax(-1, keepdim=True)  # m
-    step = torch.arange(1, max(most_moves, 1), device=obstacles.device, dtype=kind)
-    moved = step * ahead.unsqueeze(-1)  # [*B, P, 2, T]
-    length = moves.clamp_min(1).unsqueeze(-1)
-    below = moved.div(length, rounding_mode="floor")
-    rest = 2 * (moved - below * length)
-    low, high = below + (rest > length), below + (rest >= length)
-    flat, inside = obstacles.flatten(-2), step < moves
-    first = (start[..., 0] * width + start[..., 1]).unsqueeze(-1)
+    width, flat = obstacles.shape[-1], obstacles.flatten(-2)
 
     def blocked(offset: Tensor) -> Tensor:
-        row, column = offset.unbind(-2)
-        cell = (first + row * width + column).masked_fill(~inside, 0)
-        return flat.gather(-1, cell.flatten(-2).long()).view(cell.shape)
+        row, column = (start.unsqueeze(-1) + offset).unbind(-2)
+        cell = row * width + column
+        return flat.gather(-1, cell.flatten(-2)).view(cell.shape)
 
-    # only one coordinate can lie halfway, so its two cells are those of all low or all high
-    return (blocked(low) & blocked(high) & inside).sum(-1)
+    low, high, between = _points(end - start, most_moves)
+    return (blocked(low) & blocked(high) & between.squeeze(-2)).sum(-1)
+
+
+MOST_TABULATED = 64
+"""Moves of the longest lines whose points are kept in a table: it then has 17 MB."""
+
+
+@lru_cache(maxsize=16)
+def _lines(most_moves: int, width: int) -> tuple[Tensor, Tensor]:
+    """``_points`` of all lines of at most so many moves, as steps in a flattened grid.
+
+    Two int64 [(2 M + 1)^2, M - 1], the lines by row and column ahead, from -M to M.
+    """
+    steps = torch.arange(-most_moves, most_moves + 1)
+    ahead = torch.stack(torch.meshgrid(steps, steps, indexing="ij"), -1).flatten(0, 1)
+    low, high, _ = _points(ahead, most_moves)
+    return low[:, 0] * width + low[:, 1], high[:, 0] * width + high[:, 1]
 
 
 def walls_near(obstacles: Tensor, start: Tensor, end: Tensor, near: Tensor) -> Tensor:
@@ -108,7 +134,7 @@ def walls_near(obstacles: Tensor, start: Tensor, end: Tensor, near: Tensor) -> T
 
     Args:
         obstacles: bool [*B, H, W].
-        start: int64 [*B, P, 2].
+        start: cells of robots, so no obstacles, int64 [*B, P, 2].
         end: int64 [*B, P, 2].
         near: bool [*B, P].
     """
@@ -117,14 +143,23 @@ def walls_near(obstacles: Tensor, start: Tensor, end: Tensor, near: Tensor) -> T
         return walls_between(obstacles, start, end, max(height, width)) * near
     chosen = near.flatten().nonzero().squeeze(-1)
     number = torch.zeros(near.shape, dtype=torch.int64)
-    if len(chosen):
-        # all arenas as one tall grid
-        tall = obstacles.reshape(-1, width)
-        top = torch.stack((chosen // near.shape[-1] * height, torch.zeros_like(chosen)), -1)
-        ends = (cell.reshape(-1, 2).index_select(0, chosen) for cell in (start, end))
-        start, end = (cell + top for cell in ends)
-        most_moves = int((end - start).abs().max())
-        number.view(-1)[chosen] = walls_between(tall, start, end, most_moves)
+    if not len(chosen):
+        return number
+    # all arenas as one tall grid
+    tall = obstacles.reshape(-1, width)
+    top = torch.stack((chosen // near.shape[-1] * height, torch.zeros_like(chosen)), -1)
+    ends = (cell.reshape(-1, 2).index_select(0, chosen) for cell in (start, end))
+    start, end = (cell + top for cell in ends)
+    ahead = end - start
+    most_moves = -(-int(ahead.abs().max()) // 4) * 4  # so that few tables are made
+    if most_moves > MOST_TABULATED:
+        found = walls_between(tall, start, end, most_moves)
+    else:
+        line = (ahead[:, 0] + most_moves) * (2 * most_moves + 1) + ahead[:, 1] + most_moves
+        own = (start[:, 0] * width + start[:, 1]).unsqueeze(-1)
+        low, high = (tall.take(own + table[line]) for table in _lines(most_moves, width))
+        found = (low & high).sum(-1)
+    number.view(-1)[chosen] = found
     return number
 
 

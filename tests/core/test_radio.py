@@ -9,7 +9,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marl_explore.core.radio import FARTHEST, NEVER_LINKED, most_squared, reach_table, walls_between
+from marl_explore.core.radio import (
+    FARTHEST,
+    NEVER_LINKED,
+    most_squared,
+    reach_table,
+    walls_between,
+    walls_near,
+)
 from tests.helpers import world_oracle as oracle
 from tests.helpers.strategies import repeatable
 
@@ -63,3 +70,16 @@ def test_the_table_ends_where_walls_alone_are_too_many():
 def test_without_loss_the_reach_is_the_range(range_cells, limit):
     assert most_squared(range_cells, 0.0, 2.0, 0, 0.0) == limit
     assert most_squared(range_cells, 0.0, 2.0, 7, 0.0) == limit
+
+
+@pytest.mark.parametrize("side", [1, 2, 5, 12, 80])
+def test_walls_of_pairs_that_are_near_are_counted_as_those_of_all(side):
+    """Short lines by a table, long ones as they come."""
+    random = torch.Generator().manual_seed(side)
+    obstacles = torch.rand(3, side, side + 1, generator=random) < 0.3
+    start, end = (torch.randint(0, side, (3, 40, 2), generator=random) for _ in range(2))
+    obstacles[torch.arange(3).unsqueeze(-1), start[..., 0], start[..., 1]] = False  # robots
+    near = torch.rand(3, 40, generator=random) < 0.5
+    walls = walls_between(obstacles, start, end, side)
+    assert walls_near(obstacles, start, end, near).equal(walls * near)
+    assert not walls_near(obstacles, start, end, torch.zeros_like(near)).any()
