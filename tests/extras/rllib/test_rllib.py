@@ -25,7 +25,7 @@ class Watch:
         step = env.step
 
         def watched(actions):
-            masks = dict(zip(env.agents, env._masks(), strict=True))
+            masks = env._masks()
             watch.actions += len(actions)
             watch.forbidden += sum(not masks[agent][action] for agent, action in actions.items())
             return step(actions)
