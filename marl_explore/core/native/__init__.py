@@ -41,35 +41,22 @@ BACKENDS: tuple[Backend, ...] = get_args(Backend)
 """What computes: torch, a kernel (CPU tensors only), or a kernel where that is possible."""
 
 
+def _layout(arrays: str, sizes: str, floats: str = "") -> tuple[tuple[str, Any], ...]:
+    """The fields of a structure, names with spaces between: addresses, then int64, then floats."""
+    kinds = ((arrays, ctypes.c_void_p), (sizes, ctypes.c_int64), (floats, ctypes.c_float))
+    return tuple((name, kind) for names, kind in kinds for name in names.split())
+
+
 class GoalBatch(ctypes.Structure):
     """Addresses of the arrays of candidate goals, all contiguous, and their sizes.
 
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in (
-                "maps",
-                "positions",
-                "taken",
-                "allowed",
-                "seen_steps",
-                "seen_cells",
-                "known_by",
-                "covered",
-                "headings",
-                "goals",
-                "radii",
-                "gains",
-                "frontiers",
-                "rivals",
-                "ways",
-                "all_covered",
-            )
-        ),
-        *((name, ctypes.c_int64) for name in ("team", "height", "width", "kinds")),
+    _fields_ = _layout(
+        "maps positions taken allowed seen_steps seen_cells known_by covered headings "
+        "goals radii gains frontiers rivals ways all_covered",
+        "team height width kinds",
     )
 
 
@@ -79,54 +66,12 @@ class BeamTurn(ctypes.Structure):
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in (
-                "cell",
-                "before",
-                "unknown",
-                "code",
-                "seen",
-                "occupied",
-                "target",
-                "share",
-                "distance",
-                "visible",
-                "near",
-                "inside",
-                "window",
-                "on_grid",
-                "place",
-                "hashes",
-                "value",
-                "new_seen",
-                "new_code",
-                "first",
-                "best",
-                "best_value",
-                "to_cell",
-                "to_before",
-                "to_first",
-                "to_unknown",
-                "to_code",
-                "to_seen",
-            )
-        ),
-        *(
-            (name, ctypes.c_int64)
-            for name in (
-                "plans",
-                "robots",
-                "cells",
-                "targets",
-                "side2",
-                "robot",
-                "kept",
-                "is_first",
-            )
-        ),
-        *((name, ctypes.c_float) for name in ("weight", "of_distance", "favour", "of_order")),
+    _fields_ = _layout(
+        "cell before unknown code seen occupied target share distance visible near "
+        "inside window on_grid place hashes value new_seen new_code first best "
+        "best_value to_cell to_before to_first to_unknown to_code to_seen",
+        "plans robots cells targets side2 robot kept is_first",
+        floats="weight of_distance favour of_order",
     )
 
 
@@ -136,12 +81,9 @@ class PathQueries(ctypes.Structure):
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("maps", "cells", "which", "starts", "moves", "lengths")
-        ),
-        *((name, ctypes.c_int64) for name in ("num_maps", "height", "width", "num_cells")),
+    _fields_ = _layout(
+        "maps cells which starts moves lengths",
+        "num_maps height width num_cells",
     )
 
 
@@ -151,12 +93,9 @@ class SightQueries(ctypes.Structure):
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("maps", "which", "cell", "kind", "masks", "found")),
-        *(
-            (name, ctypes.c_int64)
-            for name in ("num_maps", "height", "width", "num_kinds", "side", "hides")
-        ),
+    _fields_ = _layout(
+        "maps which cell kind masks found",
+        "num_maps height width num_kinds side hides",
     )
 
 
@@ -166,12 +105,9 @@ class Looks(ctypes.Structure):
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("walls", "own", "masks", "view")),
-        *(
-            (name, ctypes.c_int64)
-            for name in ("team", "cells", "width", "num_kinds", "side", "hides")
-        ),
+    _fields_ = _layout(
+        "walls own masks view",
+        "team cells width num_kinds side hides",
     )
 
 
@@ -181,12 +117,9 @@ class Readings(ctypes.Structure):
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("view", "position", "alive", "target", "maps", "discovered", "targets")
-        ),
-        *((name, ctypes.c_int64) for name in ("team", "height", "width", "side")),
+    _fields_ = _layout(
+        "view position alive target maps discovered targets",
+        "team height width side",
     )
 
 
@@ -196,20 +129,9 @@ class Teams(ctypes.Structure):
     The C file says how large each array is.
     """
 
-    _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in (
-                "linked",
-                "communicating",
-                "target",
-                "maps",
-                "network",
-                "received",
-                "targets",
-            )
-        ),
-        *((name, ctypes.c_int64) for name in ("team", "cells")),
+    _fields_ = _layout(
+        "linked communicating target maps network received targets",
+        "team cells",
     )
 
 
