@@ -29,6 +29,7 @@ from marl_explore import (
     default_config,
     default_steps,
 )
+from marl_explore.planners.goal_utility import weight_tensor
 
 TASKS = (
     ("paper-12", 4, 48),
@@ -153,7 +154,7 @@ def play(weights: Tensor, suite: str, robots: int, first: int, arenas: int) -> T
 
 def as_weights(points: np.ndarray) -> Tensor:
     """The weights [candidates, 22] at points of the search."""
-    weights = START.as_tensor() + SCALES.as_tensor() * torch.from_numpy(points).float()
+    weights = weight_tensor(START) + weight_tensor(SCALES) * torch.from_numpy(points).float()
     lowest = [LOWEST.get(field.name, -torch.inf) for field in fields(GoalWeights)]
     return weights.maximum(torch.tensor(lowest))
 
@@ -169,7 +170,7 @@ def main(arguments: Arguments) -> None:
         seed=arguments.seed,
     )
     base = [
-        float(play(START.as_tensor()[None], suite, n, 0, 8 * k).double().mean())
+        float(play(weight_tensor(START)[None], suite, n, 0, 8 * k).double().mean())
         for suite, n, k in TASKS
     ]
     means, history, begun = [], [], time.perf_counter()

@@ -74,6 +74,12 @@ CONTEXT_COLUMNS = (
 GAIN_SQUARES = (1, 2, 4)
 """Radii of the squares in which unseen cells are counted, in radii of the robot's own sensor; the
 first is its shape itself."""
+LARGE_POCKET = 64
+"""Cells from which on the size of an unseen region no longer matters."""
+FAR_CELLS = 20
+"""Distance from which on other candidates no longer matter (cells)."""
+DETOUR_CELLS = 4
+"""Added to the straight distance of cells to which no path is known."""
 LONG_AGO = 10_000
 """Steps since a merge that stand for all longer times, and for never."""
 NOT_SEEN = -1_000_000

@@ -1,6 +1,11 @@
-"""Features of candidate goals: names, order and scales, for networks in torch and in numpy."""
+"""Candidate goals: names, order and scales of features, and the utility's weights.
+
+For torch and for numpy.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 FRONTIER_SIZE, PAIR_SIZE, MATE_SIZE, STILL_SIZE, CONTEXT_SIZE = 18, 8, 5, 8, 10
 """Numbers of features of a candidate frontier, of a teammate beside it, of a teammate as a goal, of
@@ -53,3 +58,56 @@ EXCHANGE_DUE, EXCHANGE_EARLY = 0.5, -0.4
 """Prior of communicating, relative to the best goal: when it is overdue, and before."""
 LATEST_START = 14
 """Step at which the time of exchanges has begun in every arena."""
+
+
+@dataclass(frozen=True)
+class GoalWeights:
+    """Weights and scales of the utility; all shares are at most 1.
+
+    The defaults were found by search on training arenas (docs/planners.md).
+    """
+
+    moves: float = 0.092
+    """Price of a move."""
+    log_moves: float = -0.06
+    """Price of the logarithm of the moves."""
+    near_gain: float = 2.015
+    """Unseen cells that the robot would see there, as a share of its sensor's cells."""
+    middle_gain: float = -1.03
+    """Share of unseen cells in a square of twice the radius."""
+    far_gain: float = -1.155
+    """The same of a square of four times the radius."""
+    merged_cells: float = 0.581
+    """n / (n + 4) for the n frontier cells that it stands for."""
+    pocket: float = 0.66
+    """exp(-n / 8) for an unseen region of n cells."""
+    isolation: float = 0.555
+    """n / (n + 6) for the distance n to the next candidate."""
+    last_goal: float = 0.109
+    """Whether the last goal is at most the radius away."""
+    ahead: float = -0.063
+    """Cosine of the turn."""
+    move_gain: float = 0.89
+    """The same as ``near_gain`` after the first move."""
+    linked_rival: float = 2.544
+    """Price of linked teammates that are nearer."""
+    rival_scale: float = 2.346
+    """Difference of moves to which being nearer is resolved."""
+    knowing_rival: float = 1.924
+    """Price of unlinked teammates that are nearer and know the place."""
+    unknowing_rival: float = 0.49
+    """Price of unlinked teammates that are nearer and may not know the place."""
+    arrived_rival: float = 0.126
+    """Price of unlinked teammates that know the place and may have got there since."""
+    memory: float = 99.697
+    """Time in which sightings fade (steps)."""
+    mate_moves: float = 0.025
+    """Price of a move to a teammate, when all frontiers are covered."""
+    mate_age: float = -0.934
+    """n / (n + 32) for n steps since it was seen."""
+    mate_unshared: float = -0.579
+    """n / (n + 64) for n unshared cells."""
+    timer: float = 8.203
+    """Steps since the last exchange after which robots communicate."""
+    start: float = 1.915
+    """First time of exchanges, in sqrt(cells / robots) steps, at most 14 steps."""

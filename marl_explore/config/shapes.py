@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from marl_explore.config.constants import TOLERANCE
 
@@ -158,3 +158,48 @@ class Sight:
         """The sight of one robot."""
         reach = self.ranges_cells[robot if len(self.ranges_cells) > 1 else 0]
         return Sight(self.shape, (reach,), self.line_of_sight)
+
+
+class Ring(NamedTuple):
+    """The cells at one distance m from the centre of a window, as indices of it when flattened."""
+
+    cell: list[int]
+    """Its 8 m cells."""
+    parent: list[list[int]]
+    """The two cells through which each is seen; twice the same if there is one."""
+    side: list[list[list[int]]]
+    """The two cells beside a diagonal step from each parent; of a straight step the parent itself,
+    which is no obstacle if the cell is seen through it."""
+
+
+def rings(radius: int) -> list[Ring]:
+    """The rings of a window of side 2k + 1, from the inside out, for line of sight."""
+    return [_ring(m, radius) for m in range(1, radius + 1)]
+
+
+def _ring(m: int, radius: int) -> Ring:
+    side = 2 * radius + 1
+    offsets = [
+        (r, c) for r in range(-m, m + 1) for c in range(-m, m + 1) if max(abs(r), abs(c)) == m
+    ]
+
+    def index(r: int, c: int) -> int:
+        return (r + radius) * side + c + radius
+
+    ring = Ring([index(*offset) for offset in offsets], [], [])
+    for r, c in offsets:
+        # only the shorter coordinate can lie halfway between two cells
+        rows, columns = (_nearest(part * (m - 1), m) for part in (r, c))
+        pair = [(row, column) for row in rows for column in columns]
+        pair = [pair[0], pair[-1]]
+        ring.parent.append([index(*parent) for parent in pair])
+        ring.side.append([[index(row, c), index(r, column)] for row, column in pair])
+    return ring
+
+
+def _nearest(numerator: int, denominator: int) -> tuple[int, ...]:
+    """The integer nearest to a fraction, or both if it lies halfway between two."""
+    below, rest = divmod(numerator, denominator)
+    if 2 * rest == denominator:
+        return below, below + 1
+    return (below + (2 * rest > denominator),)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.config.constants import GAIN_SQUARES
+from marl_explore.config.constants import DETOUR_CELLS, FAR_CELLS, GAIN_SQUARES, LARGE_POCKET
 from marl_explore.config.constants import GOAL_COLUMNS as GOAL_COLUMNS
 from marl_explore.config.constants import MAX_FRONTIERS as MAX_FRONTIERS
 from marl_explore.config.shapes import Sight
@@ -31,13 +31,6 @@ from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import Backend
 from marl_explore.core.sight import expected_discoveries
 from marl_explore.core.wavefront import nearest_distance
-
-LARGE_POCKET = 64
-"""Cells from which on the size of an unseen region no longer matters."""
-FAR_CELLS = 20
-"""Distance from which on other candidates no longer matter (cells)."""
-DETOUR_CELLS = 4
-"""Added to the straight distance of cells to which no path is known."""
 
 
 class GoalTable(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_explore.config.shapes import Sight, half_widths
+from marl_explore.config.shapes import Sight, half_widths, rings
 from marl_explore.core.grid import FREE, OCCUPIED, UNKNOWN, square_steps
 from marl_explore.core.native import Backend
 from marl_explore.core.native import sight as kernel
@@ -46,50 +46,21 @@ def _masks(reaches: tuple[tuple[int, ...], ...], radius: int, device: torch.devi
 
 
 class _Ring(NamedTuple):
-    """The cells at one distance from the centre, as indices of a flattened window."""
+    """``config.shapes.Ring`` as tensors."""
 
     cell: Tensor
-    """int64 [C], C = 8 m."""
+    """int64 [C]."""
     parent: Tensor
-    """The cells through which each is seen, int64 [C, 2]; twice the same if there is one."""
+    """int64 [C, 2]."""
     side: Tensor
-    """The cells beside a diagonal step from each parent, int64 [C, 2, 2]; of a straight step the
-    parent itself, which is no obstacle if the cell is seen through it."""
+    """int64 [C, 2, 2]."""
 
 
 @lru_cache
 def _rings(radius: int, device: torch.device) -> list[_Ring]:
-    """The rings of a window, from the inside out."""
-    return [_ring(m, radius, device) for m in range(1, radius + 1)]
-
-
-def _ring(m: int, radius: int, device: torch.device) -> _Ring:
-    side = 2 * radius + 1
-    offsets = [
-        (r, c) for r in range(-m, m + 1) for c in range(-m, m + 1) if max(abs(r), abs(c)) == m
+    return [
+        _Ring(*(torch.tensor(entry, device=device) for entry in ring)) for ring in rings(radius)
     ]
-
-    def index(r: int, c: int) -> int:
-        return (r + radius) * side + c + radius
-
-    parents, sides = [], []
-    for r, c in offsets:
-        # only the shorter coordinate can lie halfway between two cells
-        rows, columns = (_nearest(part * (m - 1), m) for part in (r, c))
-        pair = [(row, column) for row in rows for column in columns]
-        pair = [pair[0], pair[-1]]
-        parents.append([index(*parent) for parent in pair])
-        sides.append([[index(row, c), index(r, column)] for row, column in pair])
-    every = (torch.tensor(x, device=device) for x in ([index(*o) for o in offsets], parents, sides))
-    return _Ring(*every)
-
-
-def _nearest(numerator: int, denominator: int) -> tuple[int, ...]:
-    """The integer nearest to a fraction, or both if it lies halfway between two."""
-    below, rest = divmod(numerator, denominator)
-    if 2 * rest == denominator:
-        return below, below + 1
-    return (below + (2 * rest > denominator),)
 
 
 def line_of_sight(wall: Tensor, backend: Backend = "auto") -> Tensor:

@@ -10,11 +10,12 @@ from collections.abc import Callable
 from tensordict.nn import TensorDictModuleBase
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.goals import GoalWeights as GoalWeights
 from marl_explore.planners.assignment import FrontierAssignment, UtilityCost, hungarian
 from marl_explore.planners.base import Planner
 from marl_explore.planners.beam import BeamSearch
 from marl_explore.planners.communication import GainThreshold, PairTimer, SharedClock, never
-from marl_explore.planners.goal_utility import GoalUtility, GoalWeights
+from marl_explore.planners.goal_utility import GoalUtility
 from marl_explore.planners.greedy import FPRGreedy
 from marl_explore.planners.hedac import HEDAC
 from marl_explore.planners.nearest import NearestFrontier

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, fields
 
 import torch
 from tensordict import TensorDictBase
@@ -16,7 +16,7 @@ from marl_explore.config.constants import (
     GOAL_COLUMNS,
     MATE_COLUMNS,
 )
-from marl_explore.config.goals import HALVES, LATEST_START, POCKET_FADE
+from marl_explore.config.goals import HALVES, LATEST_START, POCKET_FADE, GoalWeights
 from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.planners.base import Planner
@@ -27,68 +27,14 @@ from marl_explore.transforms.memory import RememberTeam
 
 NOT_CHOSEN = -1e9
 """Utility of rows without a candidate."""
-
-
-@dataclass(frozen=True)
-class GoalWeights:
-    """Weights and scales of the utility; all shares are at most 1.
-
-    The defaults were found by search on training arenas (docs/planners.md).
-    """
-
-    moves: float = 0.092
-    """Price of a move."""
-    log_moves: float = -0.06
-    """Price of the logarithm of the moves."""
-    near_gain: float = 2.015
-    """Unseen cells that the robot would see there, as a share of its sensor's cells."""
-    middle_gain: float = -1.03
-    """Share of unseen cells in a square of twice the radius."""
-    far_gain: float = -1.155
-    """The same of a square of four times the radius."""
-    merged_cells: float = 0.581
-    """n / (n + 4) for the n frontier cells that it stands for."""
-    pocket: float = 0.66
-    """exp(-n / 8) for an unseen region of n cells."""
-    isolation: float = 0.555
-    """n / (n + 6) for the distance n to the next candidate."""
-    last_goal: float = 0.109
-    """Whether the last goal is at most the radius away."""
-    ahead: float = -0.063
-    """Cosine of the turn."""
-    move_gain: float = 0.89
-    """The same as ``near_gain`` after the first move."""
-    linked_rival: float = 2.544
-    """Price of linked teammates that are nearer."""
-    rival_scale: float = 2.346
-    """Difference of moves to which being nearer is resolved."""
-    knowing_rival: float = 1.924
-    """Price of unlinked teammates that are nearer and know the place."""
-    unknowing_rival: float = 0.49
-    """Price of unlinked teammates that are nearer and may not know the place."""
-    arrived_rival: float = 0.126
-    """Price of unlinked teammates that know the place and may have got there since."""
-    memory: float = 99.697
-    """Time in which sightings fade (steps)."""
-    mate_moves: float = 0.025
-    """Price of a move to a teammate, when all frontiers are covered."""
-    mate_age: float = -0.934
-    """n / (n + 32) for n steps since it was seen."""
-    mate_unshared: float = -0.579
-    """n / (n + 64) for n unshared cells."""
-    timer: float = 8.203
-    """Steps since the last exchange after which robots communicate."""
-    start: float = 1.915
-    """First time of exchanges, in sqrt(cells / robots) steps, at most 14 steps."""
-
-    def as_tensor(self) -> Tensor:
-        """The weights in their order, float32 [22]."""
-        return torch.tensor(astuple(self), dtype=torch.float32)  # whatever torch's default
-
-
 _INDEX = {field.name: number for number, field in enumerate(fields(GoalWeights))}
 _OF_PLACES = _INDEX["move_gain"] + 1
 """The first weights belong to what ``place_terms`` says of a place."""
+
+
+def weight_tensor(weights: GoalWeights) -> Tensor:
+    """The weights in their order, float32 [22]."""
+    return torch.tensor(astuple(weights), dtype=torch.float32)  # whatever torch's default
 
 
 def frontier_utility(candidates: Candidates, terms: Tensor, weights: Tensor) -> Tensor:
@@ -97,7 +43,7 @@ def frontier_utility(candidates: Candidates, terms: Tensor, weights: Tensor) -> 
     Args:
         candidates: of robots [*B], integers or floats.
         terms: ``place_terms`` of them.
-        weights: ``GoalWeights.as_tensor`` [22], or others for each robot [*B, 22].
+        weights: ``weight_tensor`` [22], or others for each robot [*B, 22].
     """
     frontiers, rivals, mates, _ = (_real(entry) for entry in candidates)
     moves = frontiers[..., GOAL_COLUMNS.index("moves")]
@@ -209,7 +155,7 @@ class GoalUtility(Planner):
         super().__init__(never, config)  # exchanges are part of the plan
         weights = GoalWeights() if weights is None else weights
         self.sight = sight
-        self.weights = weights.as_tensor() if isinstance(weights, GoalWeights) else weights
+        self.weights = weight_tensor(weights) if isinstance(weights, GoalWeights) else weights
         self._memory = RememberTeam(sight=sight)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:

@@ -17,9 +17,10 @@ from marl_explore.config.constants import (
     UNKNOWN,
 )
 from marl_explore.config.shapes import Sight
-from marl_explore.robot.goals import GoalFinder, GoalTable, Situation
+from marl_explore.robot.goals import goal_finder
 from marl_explore.robot.memory import TeamMemory
 from marl_explore.robot.observation import Observation
+from marl_explore.robot.situation import GoalTable, Situation
 
 _ROWS, _COLUMNS = np.array(COMPASS).T
 _SEEN, _LINKED, _AGE, _MOVES, _MOVE, _UNSHARED, _SINCE, _SQUARE, _WAITED = range(len(MATE_COLUMNS))
@@ -59,9 +60,6 @@ class CandidateFinder:
         robots: size of the team, N.
         shape: of the maps, (H, W).
         sight: of the robots.
-
-    Raises:
-        RuntimeError: when a native kernel cannot be used.
     """
 
     def __init__(self, robot: int, robots: int, shape: tuple[int, int], sight: Sight) -> None:
@@ -79,7 +77,7 @@ class CandidateFinder:
             heading=memory.heading,
             goal=memory.goal,
         )
-        self._goals = GoalFinder(self._situation, self._sight)
+        self._find = goal_finder(self._situation, self._sight)
         self._mates = np.empty((len(MATE_COLUMNS), robots), np.int64)
 
     def follows(self, observed: Observation) -> bool:
@@ -98,7 +96,7 @@ class CandidateFinder:
         self._situation.grid[:] = observed.map
         self._situation.allowed[:] = observed.action_mask[:NUM_DIRECTIONS]
         self._situation.taken[:] = taken_cells(observed)
-        table = self._goals.find()
+        table = self._find()
         self.memory.all_covered = table.all_covered
         return Candidates(
             table.frontiers,

@@ -6,20 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_explore.config.constants import (
-    COMPASS,
-    FREE,
     NORMALIZATIONS,
     NUM_DIRECTIONS,
     NUM_FEATURES,
-    OCCUPIED,
     UNKNOWN,
     Normalization,
 )
 from marl_explore.core import native
 from marl_explore.robot.geometry import GridCell
+from marl_explore.robot.wavefront import beside_any, first_moves
 
 Table = NDArray[np.float32]
-_BITS = NDArray[np.uint8]
 
 
 def feature_table(
@@ -73,11 +70,8 @@ def plain_table(
     height, width = grid.shape
     if not (0 <= position[0] < height and 0 <= position[1] < width):
         raise ValueError(f"a position is outside its map of {height} x {width} cells")
-    padded = np.pad(grid, 1, constant_values=OCCUPIED)
-    unknown = np.pad(grid == UNKNOWN, 1)
-    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
-    labels, distance = _search(padded, (position[0] + 1, position[1] + 1))
-    found = (labels != 0) & np.pad(beside, 1)
+    labels, distance = first_moves(grid, position)
+    found = (labels != 0) & beside_any(grid == UNKNOWN)
     first = labels[found] & -labels[found].astype(np.int16)  # the lowest direction's bit
     direction = np.log2(first).astype(np.int64)
     length = distance[found].astype(np.float64)
@@ -85,40 +79,6 @@ def plain_table(
     sums = np.zeros((NUM_DIRECTIONS, len(powers.T)))
     np.add.at(sums, direction, powers)
     return _normalized(sums, length.max(initial=0), normalize, height, width)
-
-
-def _search(padded: NDArray[np.int8], start: GridCell) -> tuple[_BITS, NDArray[np.int64]]:
-    """Bits of the first moves of the shortest paths to every cell, and their lengths."""
-    passable, fresh = padded != OCCUPIED, padded == FREE
-    front = np.zeros(padded.shape, np.uint8)
-    row, column = start
-    fresh[row, column] = False
-    for direction, (up, side) in enumerate(COMPASS):
-        if passable[row + up, column] | passable[row, column + side]:
-            front[row + up, column + side] = 1 << direction
-    labels, distance = np.zeros_like(front), np.zeros(padded.shape, np.int64)
-    level = 0
-    while (front := front * fresh).any():
-        level += 1
-        labels |= front
-        distance[front != 0] = level
-        fresh &= front == 0
-        front = _spread(front, passable)
-    return labels, distance
-
-
-def _spread(front: _BITS, passable: NDArray[np.bool_]) -> _BITS:
-    """Every cell with the bits of its eight neighbours, diagonals past a passable cell."""
-    sideways = front.copy()
-    sideways[:, 1:-1] |= front[:, :-2] | front[:, 2:]
-    sideways *= passable
-    upright = np.zeros_like(front)
-    upright[1:-1] = front[:-2] | front[2:]
-    upright *= passable
-    spread = sideways.copy()
-    spread[1:-1] |= sideways[:-2] | sideways[2:]
-    spread[:, 1:-1] |= upright[:, :-2] | upright[:, 2:]
-    return spread
 
 
 def _normalized(

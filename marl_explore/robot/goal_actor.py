@@ -17,7 +17,6 @@ from marl_explore.config.constants import (
     STAY,
 )
 from marl_explore.config.shapes import Sight
-from marl_explore.core import native
 from marl_explore.robot.candidates import CandidateFinder, Candidates
 from marl_explore.robot.goal_network import GoalNetwork
 from marl_explore.robot.networks import Array, Weights
@@ -48,11 +47,9 @@ class GoalActor:
 
     Raises:
         ValueError, KeyError: as for ``GoalNetwork``.
-        RuntimeError: when the native kernel cannot be used.
     """
 
     def __init__(self, weights: Weights, options: dict[str, Any], robot: int, sight: Sight) -> None:
-        native.kernel("goals")
         self.robot, self.sight = robot, sight
         self.network = GoalNetwork(weights, options)
         self._episode: CandidateFinder | None = None

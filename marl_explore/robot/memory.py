@@ -48,11 +48,7 @@ class TeamMemory:
         """Whether it could reach frontiers at the last observation, all of them covered."""
 
     def remember(self, observed: Observation) -> None:
-        """Take one more observation into account; ``all_covered`` and ``goal`` stay as they are.
-
-        Raises:
-            RuntimeError: when obstacles end sight, and the native kernel cannot be used.
-        """
+        """Take one more observation into account; ``all_covered`` and ``goal`` stay as they are."""
         self.stuck = (self.stuck + 1) * self.all_covered
         if self.stuck >= PATIENCE_STEPS:
             self.covered[:] = False

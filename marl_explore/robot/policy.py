@@ -52,7 +52,6 @@ class ExportedPolicy:
     Raises:
         ValueError: when the file is not an exported policy, naming what does not fit, or has no
             such robot.
-        RuntimeError: when the policy chooses among goals, and the native kernel cannot be used.
     """
 
     def __init__(self, path: str | Path, robot: int, sample: bool = True, seed: int = 0) -> None:

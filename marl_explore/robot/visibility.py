@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_explore.config.constants import FREE
-from marl_explore.config.shapes import Sight, half_widths
+from marl_explore.config.shapes import Ring, Sight, half_widths, rings
 from marl_explore.core import native
 from marl_explore.robot.geometry import GridCell
 from marl_explore.robot.knowledge import Map
@@ -26,18 +26,35 @@ def shape_mask(sight: Sight) -> Mask:
 
 
 def line_of_sight(wall: Mask) -> Mask:
-    """``core.sight.line_of_sight`` of one window, with the native kernel.
+    """``core.sight.line_of_sight`` of one window, with the native kernel or else with numpy.
 
     Args:
         wall: bool [2k + 1, 2k + 1], contiguous.
-
-    Raises:
-        RuntimeError: when the kernel cannot be used.
     """
+    return plain_line_of_sight(wall) if native.missing("sight") else native_line_of_sight(wall)
+
+
+def native_line_of_sight(wall: Mask) -> Mask:
+    """``line_of_sight`` from the C kernel."""
     seen, side = np.empty_like(wall), len(wall)
     failed = native.kernel("sight")(wall.ctypes.data, 1, side, seen.ctypes.data)
     native.check(failed, side, side)
     return seen
+
+
+def plain_line_of_sight(wall: Mask) -> Mask:
+    """``line_of_sight`` from numpy."""
+    flat, seen = wall.ravel(), np.zeros(wall.size, bool)
+    seen[wall.size // 2] = True
+    for ring in _rings(len(wall) // 2):
+        passes = seen[ring.parent] & ~flat[ring.parent] & ~flat[ring.side].all(-1)
+        seen[ring.cell] = passes.any(-1)
+    return seen.reshape(wall.shape)
+
+
+@lru_cache
+def _rings(radius: int) -> list[Ring]:
+    return rings(radius)
 
 
 def surely_seen(grid: Map, cell: GridCell, sight: Sight) -> tuple[tuple[slice, slice], Mask]:
@@ -47,9 +64,6 @@ def surely_seen(grid: Map, cell: GridCell, sight: Sight) -> tuple[tuple[slice, s
         grid: the map of the robot that asks, int8 [H, W].
         cell: where the teammate is, inside the map.
         sight: of the teammate alone.
-
-    Raises:
-        RuntimeError: when obstacles end sight, and the native kernel cannot be used.
     """
     radius, (row, column) = sight.radius, cell
     top, left = max(row - radius, 0), max(column - radius, 0)

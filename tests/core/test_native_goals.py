@@ -15,6 +15,7 @@ from marl_explore.core.grid import compass
 from marl_explore.core.memory import NOT_SEEN, Sightings, TeamMemory
 from marl_explore.core.native import goals as operator
 from marl_explore.robot import goals as robot
+from marl_explore.robot.plain_goals import plain_goal_table
 
 reason = native.missing("goals")
 needs_kernel = pytest.mark.skipif(reason is not None, reason=str(reason))
@@ -100,14 +101,14 @@ def assert_equal(found, expected):
         assert entry.equal(other), name
 
 
-def by_robot(known, sight):
+def by_robot(known, sight, find=robot.goal_table):
     """The tables from the arrays of each robot."""
     memory, start = known.memory, known.grid.ndim - 2
     entries = (*known[:4], *memory.seen[:2], memory.known_by, memory.covered, memory.heading)
     flat = [x.flatten(0, start - 1).numpy() for x in (*entries, memory.goal)]
     team = known.grid.shape[-3]
     tables = [
-        robot.goal_table(robot.Situation(*row), sight.of(number % team))
+        find(robot.Situation(*row), sight.of(number % team))
         for number, row in enumerate(zip(*flat, strict=True))
     ]
     batch = known.grid.shape[:-2]
@@ -135,6 +136,7 @@ def test_random_situations_agree_with_torch(team, sensors, shares):
         expected = goals.goal_table(known, sight)
         assert_equal(operator.goal_table(known, sight), expected)
         assert_equal(by_robot(known, sight), expected)
+        assert_equal(by_robot(known, sight, plain_goal_table), expected)
 
 
 @needs_kernel
@@ -158,6 +160,7 @@ def test_large_maps_agree_with_torch():
     assert (table.frontiers[..., 4] > 0).all()
     assert_equal(table, goals.goal_table(known, Sight.square(2)))
     assert_equal(by_robot(known, Sight.square(2)), table)
+    assert_equal(by_robot(known, Sight.square(2), plain_goal_table), table)
 
 
 @needs_kernel
@@ -173,6 +176,7 @@ def test_long_paths_agree_with_torch(height, width):
     expected = goals.goal_table(known, SQUARE)
     assert expected.frontiers[..., 2].max() > 255
     assert_equal(operator.goal_table(known, SQUARE), expected)
+    assert_equal(by_robot(known, SQUARE, plain_goal_table), expected)
 
 
 @needs_kernel
@@ -214,6 +218,7 @@ def test_a_teammate_may_have_been_seen_on_an_obstacle():
     table = operator.goal_table(known, SQUARE)
     assert table.frontiers[0, 0, 0, :3].tolist() == [1, 0, 1]
     assert table.rivals[0, 0, 0, :, 0].tolist() == [-1, 1]
+    assert_equal(by_robot(known, SQUARE, plain_goal_table), table)
 
 
 # ------------------------------------------------------------------------- operator
@@ -380,14 +385,15 @@ def test_arrays_of_other_shapes_are_refused(name):
 
 
 @needs_kernel
+@pytest.mark.parametrize("find", [robot.goal_table, plain_goal_table])
 @pytest.mark.parametrize("cell", [(-1, 0), (0, 7), (6, 0), (10**9, -(10**9))])
-def test_cells_outside_the_map_are_refused(cell):
+def test_cells_outside_the_map_are_refused(cell, find):
     known = small()
     known.position[0, 0] = torch.tensor(cell)
     with pytest.raises(ValueError, match="a position is outside its map of 6 x 7 cells"):
         operator.goal_table(known, SQUARE)
     with pytest.raises(ValueError, match="a position is outside its map of 6 x 7 cells"):
-        robot.goal_table(first_robot(known), SQUARE)
+        find(first_robot(known), SQUARE)
     known = small()
     known.memory.seen.cell[0, 0, 2] = torch.tensor(cell)
     known.memory.seen.step[0, 0, 2] = NOT_SEEN
@@ -396,7 +402,7 @@ def test_cells_outside_the_map_are_refused(cell):
     with pytest.raises(ValueError, match="a teammate was seen outside the map of 6 x 7 cells"):
         operator.goal_table(known, SQUARE)
     with pytest.raises(ValueError, match="a teammate was seen outside the map of 6 x 7 cells"):
-        robot.goal_table(first_robot(known), SQUARE)
+        find(first_robot(known), SQUARE)
 
 
 def test_a_radius_below_one_is_refused():
@@ -413,10 +419,8 @@ def test_ranges_of_another_team_are_refused():
         operator.goal_table(small(), SENSORS["mixed squares"](2))
 
 
-def test_without_a_kernel_both_say_why(monkeypatch):
+def test_without_a_kernel_the_operator_says_why(monkeypatch):
     monkeypatch.setattr(native, "_load", lambda name: OSError("it was not built"))
     assert native.missing("goals") == "it was not built"
     with pytest.raises(RuntimeError, match="native kernel cannot be used: it was not built"):
         operator.goal_table(small(), SQUARE)
-    with pytest.raises(RuntimeError, match="native kernel cannot be used: it was not built"):
-        robot.goal_table(first_robot(small()), SQUARE)
