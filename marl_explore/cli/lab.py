@@ -1,4 +1,4 @@
-"""Let robots with wheels and lidars explore the paper's lab in simulation with a trained policy.
+"""Let robots with wheels and lidars explore the paper's lab, in simulation.
 
 marl-explore lab runs/my-run --out lab
 
@@ -37,7 +37,7 @@ class Arguments:
     """Options of ``marl-explore lab``."""
 
     policy: Annotated[str, tyro.conf.Positional]
-    """Run folder, policy file or bundled policy."""
+    """Run folder, policy file, bundled policy, or a planner."""
     layouts: int = 20
     """Number of test arenas."""
     steps: int = 60
@@ -66,22 +66,25 @@ def run(arguments: Arguments) -> None:
     """Explore, print the measurements, and write them with the figure."""
     from matplotlib import image
 
-    from marl_explore import ExplorationEnv, load_policy
+    from marl_explore import PLANNERS, ArenaConfig, ExplorationEnv, load_policy
     from marl_explore.evaluation.episodes import TEST_STREAM
     from marl_explore.evaluation.plots import explored_figure, lab_figure
-    from marl_explore.lab import LabRunner, Noise
+    from marl_explore.lab import LabRunner, Noise, planner_policies
     from marl_explore.utils import records
 
     record = records.provenance() | {"settings": asdict(arguments)}
-    policy = load_policy(arguments.policy)
+    if arguments.policy in PLANNERS:
+        config = ArenaConfig()
+        policy = planner_policies(arguments.policy, config, arguments.seed)
+    else:
+        policy = load_policy(arguments.policy)
+        config = policy.config.arena
     records.require_new(arguments.out)
-    env = ExplorationEnv(
-        policy.config.arena, arguments.layouts, seed=arguments.seed, stream=TEST_STREAM
-    )
+    env = ExplorationEnv(config, arguments.layouts, seed=arguments.seed, stream=TEST_STREAM)
     start = env.reset()
     arenas = start["obstacles"], start["agents", "position"]
     noise = Noise(**asdict(arguments.noise))
-    lab = LabRunner(policy, arenas, noise, seed=arguments.seed)
+    lab = LabRunner(policy, arenas, noise, config, seed=arguments.seed)
     explored = lab.run(arguments.steps)
     folder = records.new_folder(arguments.out)
     if arguments.picture:

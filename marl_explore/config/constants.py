@@ -80,6 +80,11 @@ FAR_CELLS = 20
 """Distance from which on other candidates no longer matter (cells)."""
 DETOUR_CELLS = 4
 """Added to the straight distance of cells to which no path is known."""
+EXCHANGE_TIMER = 6
+"""Steps since a merge after which the planners nearest-timer and utility-cost communicate."""
+MOVE_COST, RIVAL_REACH = 0.1, 3
+"""Of utility-cost: a move's cost in units of a frontier's utility, and the distance up to which a
+chosen frontier lowers the utility of others (cells)."""
 LONG_AGO = 10_000
 """Steps since a merge that stand for all longer times, and for never."""
 NOT_SEEN = -1_000_000

@@ -7,7 +7,15 @@ is created.
 from __future__ import annotations
 
 from marl_explore.lab.measures import LabRecord
+from marl_explore.lab.planner_policy import planner_policies
 from marl_explore.lab.runner import LabRunner, exported_policies
 from marl_explore.lab.world import LabWorld, Noise
 
-__all__ = ["LabRecord", "LabRunner", "LabWorld", "Noise", "exported_policies"]
+__all__ = [
+    "LabRecord",
+    "LabRunner",
+    "LabWorld",
+    "Noise",
+    "exported_policies",
+    "planner_policies",
+]

@@ -17,6 +17,7 @@ from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
 from marl_explore.config.constants import Normalization
 from marl_explore.lab.measures import LabRecord
+from marl_explore.lab.planner_policy import MakePolicy
 from marl_explore.lab.world import LabWorld, Noise
 from marl_explore.policies.export import export_npz
 from marl_explore.policies.policy import Policy
@@ -27,11 +28,8 @@ from marl_explore.robot import (
     RobotCore,
     RobotSettings,
     Scan,
-    runtime,
 )
 
-MakePolicy = Callable[[int, int], runtime.Policy]
-"""The policy of a robot: (arena, robot) -> (``Observation`` -> action)."""
 _MOST_SECONDS = 300.0  # limit for one step; robots give up much earlier
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from tensordict.nn import TensorDictModuleBase
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import EXCHANGE_TIMER
 from marl_explore.config.goals import GoalWeights as GoalWeights
 from marl_explore.planners.assignment import FrontierAssignment, UtilityCost, hungarian
 from marl_explore.planners.base import Planner
@@ -26,11 +27,13 @@ from marl_explore.planners.rendezvous import Rendezvous
 PLANNERS: dict[str, Callable[[ArenaConfig], TensorDictModuleBase]] = {
     "random": lambda config: RandomWalk(),
     "nearest": lambda config: NearestFrontier(never, config),
-    "nearest-timer": lambda config: NearestFrontier(PairTimer(6), config),
+    "nearest-timer": lambda config: NearestFrontier(PairTimer(EXCHANGE_TIMER), config),
     "fpr-greedy": lambda config: FPRGreedy(PairTimer(5), config),
-    "utility-cost": lambda config: FrontierAssignment(PairTimer(6), UtilityCost(0.1), config),
+    "utility-cost": lambda config: FrontierAssignment(
+        PairTimer(EXCHANGE_TIMER), UtilityCost(), config
+    ),
     "sequential": lambda config: FrontierAssignment(
-        PairTimer(5), UtilityCost(0.1, by_number=True), config
+        PairTimer(5), UtilityCost(by_number=True), config
     ),
     "hungarian": lambda config: FrontierAssignment(PairTimer(5), hungarian, config),
     "hedac": lambda config: HEDAC(PairTimer(5), config),

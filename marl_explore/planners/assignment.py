@@ -12,13 +12,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.constants import DETOUR_CELLS, MOVE_COST, RIVAL_REACH
 from marl_explore.core.frontier import frontier_mask, paths_to
 from marl_explore.core.grid import OCCUPIED, STAY, flat_cell
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import CommunicationRule
-
-DETOUR = 4
-"""Moves added to another robot's straight distance where the map has no path for it."""
 
 
 class Auction(NamedTuple):
@@ -53,8 +51,8 @@ class UtilityCost:
         by_number: whether robots choose in the order of their numbers instead.
     """
 
-    cost: float = 0.1
-    reach: int = 3
+    cost: float = MOVE_COST
+    reach: int = RIVAL_REACH
     by_number: bool = False
 
     def __call__(self, auction: Auction) -> Tensor:
@@ -144,7 +142,7 @@ def _auction(grid: Tensor, position: Tensor, linked: Tensor) -> tuple[Auction, T
     move, length = paths_to(passable, cell, rows, own)
     _, of_others = paths_to(grid, cell, row, place)
     straight = _moves_between(place.unsqueeze(-1), cell[row], width)
-    of_others = torch.where((of_others > 0) | (straight == 0), of_others, straight + DETOUR)
+    of_others = torch.where((of_others > 0) | (straight == 0), of_others, straight + DETOUR_CELLS)
     distance = torch.zeros(*present.shape, cell.shape[1], dtype=torch.float32, device=grid.device)
     distance[row, other] = of_others.float()
     distance[rows, me] = length.float()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,10 @@ _MOVE = GOAL_COLUMNS.index("move")
 _MOVE_TO_MATE = MATE_COLUMNS.index("move")
 
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
 class Options(NamedTuple):
     """What there is to choose from in a step."""
 
@@ -36,26 +40,20 @@ class Options(NamedTuple):
     """Of the choices, float32."""
 
 
-class GoalActor:
-    """One robot's actor that chooses among goals, and its memory of the episode.
+class GoalChooser:
+    """One robot that chooses among goals, with its memory of the episode.
 
     Args:
-        weights: of the network by name, float32.
-        options: of the network.
         robot: its number.
         sight: of the robots.
-
-    Raises:
-        ValueError, KeyError: as for ``GoalNetwork``.
     """
 
-    def __init__(self, weights: Weights, options: dict[str, Any], robot: int, sight: Sight) -> None:
+    def __init__(self, robot: int, sight: Sight) -> None:
         self.robot, self.sight = robot, sight
-        self.network = GoalNetwork(weights, options)
         self._episode: CandidateFinder | None = None
 
-    def blank(self) -> GoalActor:
-        """The same actor without a memory; the weights are shared."""
+    def blank(self) -> Self:
+        """The same without a memory."""
         other = copy.copy(self)
         other.reset()
         return other
@@ -64,15 +62,14 @@ class GoalActor:
         """Forget the episode."""
         self._episode = None
 
-    def look(self, observed: Observation) -> Options:
-        """Remember an observation, and weigh what there is to choose from."""
+    def find(self, observed: Observation) -> Candidates:
+        """Remember an observation, and find the candidates."""
         episode = self._episode
         if episode is None or not episode.follows(observed):
             robots = len(observed.net)
             episode = CandidateFinder(self.robot, robots, observed.map.shape, self.sight)
             self._episode = episode
-        found = episode.find(observed)
-        return Options(found, *self.network(found))
+        return episode.find(observed)
 
     def go(self, found: Candidates, choice: int) -> int:
         """The first move to a choice, whose cell is remembered as the goal.
@@ -89,6 +86,29 @@ class GoalActor:
             goal[:] = -1
             return int(found.mates[mate, _MOVE_TO_MATE])
         return COMMUNICATE if mate == len(found.mates) else STAY
+
+
+class GoalActor(GoalChooser):
+    """One robot's actor that chooses among goals, and its memory of the episode.
+
+    Args:
+        weights: of the network by name, float32.
+        options: of the network.
+        robot: its number.
+        sight: of the robots.
+
+    Raises:
+        ValueError, KeyError: as for ``GoalNetwork``.
+    """
+
+    def __init__(self, weights: Weights, options: dict[str, Any], robot: int, sight: Sight) -> None:
+        super().__init__(robot, sight)
+        self.network = GoalNetwork(weights, options)
+
+    def look(self, observed: Observation) -> Options:
+        """Remember an observation, and weigh what there is to choose from."""
+        found = self.find(observed)
+        return Options(found, *self.network(found))
 
     def act(self, observed: Observation, chance: np.random.Generator, sample: bool) -> int:
         """An action: the first move to a choice, unless the robot yields.

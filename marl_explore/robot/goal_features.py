@@ -113,6 +113,26 @@ class _Links(NamedTuple):
     """Most steps since the last exchange with one of them."""
 
 
+class Weighed(NamedTuple):
+    """The places that a robot can go to: V candidate frontiers and M teammates."""
+
+    utility: Array
+    """[V + M]."""
+    choices: list[int]
+    """Their numbers (``planners.goal_moves.follow``), in this order."""
+    due: bool
+    """Whether a linked teammate has waited for an exchange for long enough."""
+    places: Array
+    """``GoalFeatures.frontier``, its last row not written."""
+    pairs: Pairs
+    visits: Indices
+    """The teammates [M]."""
+    mates: _Mates
+    links: _Links
+    moves: Array
+    """Moves to the frontiers [V]."""
+
+
 class _Rivalry(NamedTuple):
     """What teammates mean for V candidate frontiers."""
 
@@ -202,6 +222,25 @@ class FeatureScaling:
 
     def __call__(self, found: Candidates) -> GoalFeatures:
         """Features of about unit size, the choices, and their prior."""
+        weighed = self.weigh(found)
+        places, utility, own = weighed.places, weighed.utility, found.context
+        number, visits = places.shape[1], weighed.visits
+        np.minimum(np.maximum(utility[:number], -MOST_UTILITY), MOST_UTILITY, out=places[-1])
+        prior = utility - utility.max(initial=-np.inf)
+        choices, due = weighed.choices, weighed.due
+        still = _NO_STILL
+        if self._talks(own, weighed.links, due, nowhere=not choices):
+            still = _talk(weighed.mates, weighed.links, due)
+            choices.append(MAX_FRONTIERS + own.robots)
+            prior = np.append(prior, np.float32(EXCHANGE_DUE if due else EXCHANGE_EARLY))
+        elif not choices:
+            still, choices, prior = _STAY, [MAX_FRONTIERS + own.robots + 1], _NO_PRIOR
+        visited = _of_visits(weighed.mates, visits)
+        context = _context(own, weighed.links, weighed.mates.unshared, weighed.moves)
+        return GoalFeatures(places, weighed.pairs, visited, still, context, choices, prior)
+
+    def weigh(self, found: Candidates) -> Weighed:
+        """The utility of the places to go to, and what it follows from."""
         number = int(np.count_nonzero(found.frontiers[:, _MOVES]))
         table = found.frontiers[:number].T.astype(np.float32, order="C")
         rows = found.mates.T.astype(np.float32)
@@ -212,23 +251,20 @@ class FeatureScaling:
         pairs, rivalry = self._pairs(found, table[_MOVES], rows[_ABOUT][:, known], known)
         places = self._places(table, found.frontiers[:number, _TURN], rivalry, own)
         utility = np.add.reduce(self._utility.places * places[TERMS]) - rivalry.price
-        np.minimum(np.maximum(utility, -MOST_UTILITY), MOST_UTILITY, out=places[-1])
         visits = _visits(mates, own)
         if len(visits):
             utility = np.append(utility, self._utility.visits(mates, visits))
-        prior = utility - utility.max(initial=-np.inf)
-        choices = [*range(number), *(visits + MAX_FRONTIERS).tolist()]
-        still = _NO_STILL
-        due = self._utility.is_due(own, links)
-        if self._talks(own, links, due, nowhere=not choices):
-            still = _talk(mates, links, due)
-            choices.append(MAX_FRONTIERS + own.robots)
-            prior = np.append(prior, np.float32(EXCHANGE_DUE if due else EXCHANGE_EARLY))
-        elif not choices:
-            still, choices, prior = _STAY, [MAX_FRONTIERS + own.robots + 1], _NO_PRIOR
-        visited = _of_visits(mates, visits)
-        context = _context(own, links, mates.unshared, table[_MOVES])
-        return GoalFeatures(places, pairs, visited, still, context, choices, prior)
+        return Weighed(
+            utility=utility,
+            choices=[*range(number), *(visits + MAX_FRONTIERS).tolist()],
+            due=self._utility.is_due(own, links),
+            places=places,
+            pairs=pairs,
+            visits=visits,
+            mates=mates,
+            links=links,
+            moves=table[_MOVES],
+        )
 
     def _talks(self, own: Context, links: _Links, due: bool, nowhere: bool) -> bool:
         """Whether to communicate is a choice."""

@@ -8,9 +8,10 @@ import torch
 from scipy.optimize import linear_sum_assignment
 
 from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.config.constants import DETOUR_CELLS as DETOUR
 from marl_explore.core.grid import STAY
 from marl_explore.planners import FrontierAssignment, PairTimer, UtilityCost, hungarian, never
-from marl_explore.planners.assignment import DETOUR, Auction
+from marl_explore.planners.assignment import Auction
 from tests.helpers import oracle
 from tests.helpers.situations import knowing, names, on_board
 
@@ -93,7 +94,10 @@ def test_distances_are_those_of_known_paths_and_otherwise_straight_with_a_detour
     planner = FrontierAssignment(never, watched)
     planner.plan(knowing(td, "..??...", "..??..."))
     assert auctions[0].cell.tolist() == [[1, 4]] * 2
-    assert auctions[0].distance.tolist() == [[[1, 0], [5 + DETOUR, 2]], [[1, 4 + DETOUR], [0, 2]]]
+    assert auctions[0].distance.tolist() == [
+        [[1, 0], [5 + DETOUR, 2]],
+        [[1, 4 + DETOUR], [0, 2]],
+    ]
     assert auctions[0].frontier.tolist() == [[True, False], [False, True]]
 
 
