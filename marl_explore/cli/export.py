@@ -26,8 +26,8 @@ class Arguments:
     """Run folder, policy file or bundled policy."""
     out: Path = Path("exported")
     """Folder for the files."""
-    kinds: tuple[Literal["npz", "onnx"], ...] | None = None
-    """Formats to write; None: npz and onnx, but only npz for actors that choose among goals."""
+    kinds: tuple[Literal["npz", "onnx"], ...] = ("npz", "onnx")
+    """Formats to write."""
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -44,14 +44,13 @@ def run(arguments: Arguments) -> None:
     from marl_explore.policies.export import (
         export_npz,
         export_onnx,
-        possible_kinds,
         require_exportable,
     )
     from marl_explore.policies.io import load_policy
     from marl_explore.utils import records
 
     policy = load_policy(arguments.policy)
-    kinds = arguments.kinds or possible_kinds(policy)
+    kinds = arguments.kinds
     require_exportable(policy, kinds)
     arguments.out.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []

@@ -18,12 +18,16 @@ from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATURES
+from marl_explore.envs.exploration import ExplorationEnv
+from marl_explore.policies.goal_graph import GoalGraph
 from marl_explore.policies.io import require_weights
 from marl_explore.policies.networks import PAPER_INPUTS
+from marl_explore.policies.networks.goals import GoalActor
 from marl_explore.policies.policy import Policy
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.policy import FORMAT, save_arrays
-from marl_explore.transforms.goals import Candidates
+from marl_explore.transforms.goals import Candidates, find_candidates
+from marl_explore.transforms.memory import RememberTeam
 from marl_explore.utils.extras import require_extra
 from marl_explore.utils.files import atomic_write
 
@@ -31,12 +35,21 @@ Kind = Literal["npz", "onnx"]
 """Formats of exported policies."""
 INPUTS = ("fov", "fpr", "net", "action_mask")
 OUTPUTS = ("action", "masked_logits")
+GOAL_INPUTS = Candidates._fields
+GOAL_OUTPUTS = ("choice", "masked_logits")
+"""Names in ONNX files of actors that choose among goals."""
+_TO_SAMPLE = "; to sample, use masked_logits as the logits of a categorical distribution."
 NOT_IN_THE_GRAPH = (
     "fov, fpr and net are computed before the network, fpr with the normalisation in the spec. "
-    "action is the most likely allowed one; to sample, use masked_logits as the logits of a "
-    "categorical distribution."
+    f"action is the most likely allowed one{_TO_SAMPLE}"
 )
 """What users of an ONNX file need to know."""
+GOALS_NOT_IN_THE_GRAPH = (
+    "Memory and candidates (docs/goals.md) are computed before the network, in any arena and, if "
+    "the actors are shared, any team; the first move to the choice and the yield rule come after "
+    "it. Choices are the 24 frontiers, the teammates, to communicate and to stay; choice is the "
+    f"most likely one{_TO_SAMPLE}"
+)
 
 
 class Deployed(nn.Module):
@@ -88,8 +101,8 @@ def require_exportable(policy: Policy, kinds: Sequence[str]) -> None:
 
     Raises:
         ModuleNotFoundError: when ONNX is asked for and not installed, saying how to install it.
-        ValueError: for actors that read more than robots compute, weights that are not finite,
-            as .npz, a network without a numpy twin, or, as ONNX, actors that choose among goals.
+        ValueError: for actors that read more than robots compute, weights that are not finite, and,
+            as .npz, a network without a numpy twin.
     """
     spec_text(policy)
     require_weights(policy.actors.state_dict(), "the policy")
@@ -97,16 +110,7 @@ def require_exportable(policy: Policy, kinds: Sequence[str]) -> None:
     if "npz" in kinds and policy.config.network.exported_as is None:
         raise ValueError(f"{name} actors cannot be exported as .npz: they have no numpy twin")
     if "onnx" in kinds:
-        if "onnx" not in possible_kinds(policy):
-            raise ValueError(
-                f"{name} actors cannot be exported as ONNX: they choose among goals; .npz works"
-            )
         require_extra("onnx", "onnxscript")
-
-
-def possible_kinds(policy: Policy) -> tuple[Kind, ...]:
-    """The formats in which a policy's actors can be written."""
-    return ("npz",) if policy.config.network.chooses == "goals" else ("npz", "onnx")
 
 
 def export_npz(policy: Policy, path: str | Path) -> Path:
@@ -137,7 +141,8 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
     """Write every robot's actor as ``robot_<i>.onnx``; needs the extra "export".
 
     Inputs are fov, fpr, net and action_mask, outputs action and masked_logits, with any number of
-    rows; metadata hold the spec, the robot, and what is not in the graph.
+    rows; of actors that choose among goals, the candidates, and choice and masked_logits, with any
+    number of teammates. Metadata hold the spec, the robot, and what is not in the graph.
 
     Args:
         policy: the team.
@@ -145,8 +150,7 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
 
     Raises:
         ModuleNotFoundError: when onnx or onnxscript is not installed, saying how to install it.
-        ValueError: for actors that read more than FOV, FPR and NET, or choose among goals, and
-            weights that are not finite.
+        ValueError: for actors that read more than robots compute, and weights that are not finite.
     """
     require_exportable(policy, ("onnx",))
     import onnx
@@ -156,12 +160,8 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for robot in range(policy.config.arena.num_agents):
-        model = _graph(Deployed(policy.actor_of(robot)).float().eval(), policy.config.arena)
-        described = {
-            "spec": told,
-            "robot": str(robot),
-            "not in the graph": NOT_IN_THE_GRAPH,
-        }
+        model, missing = _graph(policy.actor_of(robot), policy.config.arena)
+        described = {"spec": told, "robot": str(robot), "not in the graph": missing}
         onnx.helper.set_model_props(model, described)
         path = folder / f"robot_{robot}.onnx"
         with atomic_write(path) as unfinished:
@@ -170,21 +170,30 @@ def export_onnx(policy: Policy, folder: str | Path) -> list[Path]:
     return paths
 
 
-def _graph(deployed: Deployed, arena: ArenaConfig) -> Any:
-    """An onnx.ModelProto."""
-    example = example_inputs(arena, 2)
-    rows = torch.export.Dim("rows")
+def _graph(actor: nn.Module, arena: ArenaConfig) -> tuple[Any, str]:
+    """An onnx.ModelProto, and what is not in it."""
+    rows, team = torch.export.Dim("rows"), torch.export.Dim("team")
+    if isinstance(actor, GoalActor):
+        graph: nn.Module = GoalGraph(actor)
+        example: Sequence[Tensor] = example_candidates(2)
+        names = GOAL_INPUTS, GOAL_OUTPUTS
+        shapes: Any = (({0: rows}, {0: rows, 2: team}, {0: rows, 1: team}, {0: rows}),)
+        missing = GOALS_NOT_IN_THE_GRAPH
+    else:
+        graph, example = Deployed(actor), example_inputs(arena, 2)
+        names = INPUTS, OUTPUTS
+        shapes, missing = [{0: rows} for _ in example], NOT_IN_THE_GRAPH
     program = torch.onnx.export(
-        deployed,
+        graph.float().eval(),
         tuple(example),
-        input_names=INPUTS,
-        output_names=OUTPUTS,
-        dynamic_shapes=[{0: rows} for _ in example],
+        input_names=names[0],
+        output_names=names[1],
+        dynamic_shapes=shapes,
         dynamo=True,
         verbose=False,
     )
     assert program is not None
-    return program.model_proto
+    return program.model_proto, missing
 
 
 def robot_observation(tensordict: TensorDictBase, arena: int, robot: int) -> Observation:
@@ -236,3 +245,14 @@ def example_inputs(arena: ArenaConfig, rows: int, seed: int = 0) -> Sequence[Ten
     mask = torch.rand(rows, NUM_ACTIONS, generator=chance) > 0.4
     mask[:, -2] = True  # staying is always allowed
     return (fov > 0.7).float(), fpr, (net > 0.5).float(), mask
+
+
+def example_candidates(arenas: int, team: int = 3, steps: int = 6) -> Candidates:
+    """Candidates float32 of all robots after some random steps, of ``arenas`` x ``team`` robots."""
+    env = ExplorationEnv(ArenaConfig(num_agents=team), arenas)
+    with torch.random.fork_rng(devices=()):
+        torch.manual_seed(0)
+        last = env.rollout(steps)[:, -1]
+    known = RememberTeam(sight=env.config.sight)(last)
+    found = find_candidates(known, env.config.sight)
+    return Candidates(*(entry.flatten(0, 1).float() for entry in found))

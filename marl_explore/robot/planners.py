@@ -9,6 +9,7 @@ from dataclasses import astuple
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import (
@@ -27,7 +28,6 @@ from marl_explore.config.constants import (
 from marl_explore.config.goals import GoalWeights
 from marl_explore.robot.goal_actor import GoalChooser, give_way
 from marl_explore.robot.goal_features import FeatureScaling
-from marl_explore.robot.knowledge import Map
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.paths import Integers, paths_to
 from marl_explore.robot.wavefront import Mask, beside_any
@@ -121,7 +121,7 @@ def frontiers(observed: Observation) -> Mask:
     return beside_any(observed.map == UNKNOWN) & (observed.map == FREE)
 
 
-def _moves_of_another(grid: Map, mask: Mask, place: Integers, cell: tuple[int, int]) -> Integers:
+def _moves_of_another(grid: NDArray[np.int8], mask: Mask, place: Integers, cell: tuple[int, int]) -> Integers:
     """Moves of a linked robot to each frontier [F]."""
     _, length = paths_to(grid, mask, cell)
     straight = np.abs(place - cell).max(1)

@@ -94,13 +94,19 @@ class FeatureScaling(nn.Module):
         for name, numbers in _BUFFERS.items():
             self.register_buffer(name, torch.tensor(numbers), persistent=False)
 
-    def forward(self, candidates: Candidates) -> GoalFeatures:
-        """Features of about unit size, the choices, and their prior."""
+    def forward(self, candidates: Candidates, dense: bool = False) -> GoalFeatures:
+        """Features of about unit size, the choices, and their prior.
+
+        Args:
+            candidates: of R robots.
+            dense: whether rows without a candidate have features too, which mean nothing: then V is
+                24 R, and no shape depends on what there is.
+        """
         dtype = self.weights.dtype
         candidates = Candidates(*(entry.to(dtype) for entry in candidates))
         moves = candidates.frontiers[..., GOAL_COLUMNS.index("moves")]
         filled = moves > 0
-        row, slot = filled.nonzero(as_tuple=True)
+        row, slot = _every_place(filled) if dense else filled.nonzero(as_tuple=True)
         # as if each candidate had a robot of its own: most rows of the tables are empty
         alone = Candidates(
             candidates.frontiers[row, slot].unsqueeze(-2),
@@ -153,7 +159,7 @@ class FeatureScaling(nn.Module):
         own = torch.stack(
             (
                 nearest / moves,
-                pocket <= SMALL_POCKET,
+                (pocket <= SMALL_POCKET).to(moves),
                 1 - rivals[0],
                 share(rivals[1].to(moves), HALVES["rivals"]),
                 utility.clamp(-MOST_UTILITY, MOST_UTILITY),
@@ -253,3 +259,12 @@ class FeatureScaling(nn.Module):
         best = goals.amax(-1, keepdim=True)
         talk = torch.where(due, EXCHANGE_DUE, EXCHANGE_EARLY).unsqueeze(-1).to(goals)
         return torch.cat((goals - best, talk, torch.zeros_like(best)), -1)
+
+
+def _every_place(table: Tensor) -> tuple[Tensor, Tensor]:
+    """The row and the column of every entry of a table [R, C], int64 [R C] each."""
+    rows, columns = (torch.arange(size, device=table.device) for size in table.shape)
+    return (
+        rows.unsqueeze(-1).expand_as(table).flatten(),
+        columns.expand_as(table).flatten(),
+    )

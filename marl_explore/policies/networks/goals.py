@@ -125,7 +125,7 @@ class GoalEncoder(nn.Module):
         )
         first = torch.cat(
             (
-                self._frontiers(scaled),
+                self.of_frontiers(scaled),
                 self._of_kind(self.mate, scaled.mate, scaled.context, *mates),
                 self._of_kind(self.still, scaled.still, scaled.context, *stills),
             )
@@ -141,7 +141,7 @@ class GoalEncoder(nn.Module):
         )
         return scaled, _Codes(row, choice, each, torch.cat((total / number, most), -1))
 
-    def _frontiers(self, scaled: GoalFeatures) -> Tensor:
+    def of_frontiers(self, scaled: GoalFeatures) -> Tensor:
         """First encodings of the choices that are frontiers."""
         known = scaled.known_mate[scaled.row].unsqueeze(-1)
         pair = self.pair(scaled.pair) * known
@@ -186,11 +186,15 @@ class GoalActor(nn.Module):
         score = torch.zeros_like(scaled.prior).index_put(
             (codes.row, codes.choice), self.score(read).squeeze(-1).to(scaled.prior.dtype)
         )
+        logits = self.refine(score, scaled).masked_fill(~scaled.valid, FORBIDDEN_LOGIT)
+        return logits.view(*batch, -1)
+
+    def refine(self, score: Tensor, scaled: GoalFeatures) -> Tensor:
+        """Logits from the network's scores and the prior, [R, 24 + N + 2]; any of no choices."""
         allowed = scaled.prior.masked_fill(~scaled.valid, -torch.inf)
         apart = score - score.gather(-1, allowed.argmax(-1, keepdim=True))
         refined = self.refinement * (apart / self.refinement).tanh()
-        logits = (refined + self.prior * scaled.prior).masked_fill(~scaled.valid, FORBIDDEN_LOGIT)
-        return logits.view(*batch, -1)
+        return refined + self.prior * scaled.prior
 
 
 class GoalCritic(nn.Module):

@@ -9,8 +9,17 @@ import onnx
 import onnxruntime
 import pytest
 
-from marl_explore.policies.export import INPUTS, OUTPUTS, example_inputs, export_npz, export_onnx
+from marl_explore.policies.export import (
+    GOAL_OUTPUTS,
+    INPUTS,
+    OUTPUTS,
+    example_candidates,
+    example_inputs,
+    export_npz,
+    export_onnx,
+)
 from marl_explore.robot import ExportedPolicy
+from tests.helpers.goal_policies import goal_policy
 from tests.policies.test_export import expected
 from tests.policies.test_policies import a_policy
 
@@ -57,3 +66,20 @@ def test_a_graph_tells_what_it_is_and_what_it_lacks(tmp_path):
     assert "to sample" in told["not in the graph"]
     assert [entry.name for entry in model.graph.input] == list(INPUTS)
     assert [entry.name for entry in model.graph.output] == list(OUTPUTS)
+
+
+def test_actors_that_choose_among_goals_agree_in_any_team(tmp_path):
+    policy = goal_policy()
+    path = export_onnx(policy, tmp_path)[1]
+    onnx.checker.check_model(path)
+    told = {entry.key: entry.value for entry in onnx.load(path).metadata_props}
+    assert "docs/goals.md" in told["not in the graph"]
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    for arenas, team in ((1, 1), (7, 4), (3, 12)):
+        found = example_candidates(arenas, team, steps=20)
+        named = {name: entry.numpy() for name, entry in found._asdict().items()}
+        choice, logits = session.run(list(GOAL_OUTPUTS), named)
+        expected = policy.actor_of(1)(*found).detach().numpy()
+        valid = logits > -np.inf
+        np.testing.assert_allclose(logits[valid], expected[valid], rtol=1e-4, atol=1e-4)
+        assert (choice == expected.argmax(-1)).mean() > 0.97
