@@ -1,8 +1,8 @@
-"""The package for colcon: both nodes and all of marl_explore, so that robots do not need pip."""
+"""The package for colcon: the nodes and all of marl_explore, so that robots do not need pip."""
 
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 NAME = "marl_explore_ros2"
 HERE = Path(__file__).parent
@@ -14,12 +14,27 @@ def files(folder: str) -> list[str]:
     return sorted(str(path.relative_to(HERE)) for path in (HERE / folder).iterdir())
 
 
+def kernels() -> list[Extension]:
+    """The C kernels of pyproject.toml; without a compiler the package works with numpy alone."""
+    # paths relative to this file, as setuptools wants them
+    return [
+        Extension(
+            f"marl_explore.core.native._{path.stem}",
+            [f"../core/native/{path.name}"],
+            extra_compile_args=["-O3", "-std=c99", "-ffp-contract=off"],
+            optional=True,
+        )
+        for path in sorted((HERE / "../core/native").glob("*.c"))
+    ]
+
+
 if __name__ == "__main__":
     setup(
         name=NAME,
         version="0.1.0",
         package_dir={"": "../.."},
         packages=find_packages("../..", include=["marl_explore", "marl_explore.*"]),
+        ext_modules=kernels(),
         data_files=[
             ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
             (SHARE, ["package.xml"]),

@@ -49,6 +49,17 @@ def test_a_robot_needs_no_torch(workspace):
     assert torch == "False"
 
 
+def test_its_kernels_are_built(workspace):
+    """In a folder of their own: none of those of an installed marl_explore is used."""
+    code = (
+        "from marl_explore.core import native; "
+        "print(native.__file__, [native.missing(name) for name in native.get_args(native.Kernel)])"
+    )
+    file, missing = workspace.run("python", "-c", code).split(maxsplit=1)
+    assert file.startswith(str(workspace.install))
+    assert set(missing.strip(" []\n").split(", ")) == {"None"}
+
+
 def test_the_package_says_what_the_project_says(workspace):
     package = ElementTree.parse(workspace.share / "package.xml")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
