@@ -49,6 +49,12 @@ def require_not_negative(name: str, value: float, unit: str = "") -> None:
     require(0 <= value < math.inf, name, value, f"it must be at least {least}, and finite")
 
 
+def require_finite(name: str, value: float, unit: str = "") -> None:
+    """Require a finite number."""
+    of = f" of {unit}" if unit else ""
+    require(math.isfinite(value), name, value, f"it must be a finite number{of}")
+
+
 def require_share(name: str, value: float) -> None:
     """Require a number in [0, 1]."""
     require(0 <= value <= 1, name, value, "it must lie in [0, 1]")

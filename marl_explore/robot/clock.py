@@ -21,6 +21,10 @@ class Clock(Protocol):
     def report(self, robot: int, tick: int, now: float) -> None:
         """Report that a robot has finished a tick."""
 
+    @property
+    def waited_for(self) -> set[int]:
+        """Robots without which the next tick does not begin."""
+
 
 class PeriodClock:
     """A tick every ``period`` seconds, the same on all robots whose clocks agree.
@@ -42,6 +46,11 @@ class PeriodClock:
 
     def report(self, robot: int, tick: int, now: float) -> None:
         """Does nothing: no robot is waited for."""
+
+    @property
+    def waited_for(self) -> set[int]:
+        """No robot."""
+        return set()
 
 
 class BarrierClock:
@@ -67,13 +76,12 @@ class BarrierClock:
     def tick(self, now: float) -> int:
         """The tick at a time (seconds)."""
         self._since = min(self._since, now)  # clocks can be set back
-        waited_for = {robot for robot, tick in self._through.items() if tick < self._tick}
         if now - self._since > self.patience:
-            self._missed |= waited_for
+            self._missed |= self.waited_for
         latest = max(self._through.values())
         if latest > self._tick:  # the others are ahead: join them
             self._begin(latest, now)
-        elif latest == self._tick and not waited_for - self._missed:
+        elif latest == self._tick and not self.waited_for:
             self._begin(self._tick + 1, now)
         return self._tick
 
@@ -81,6 +89,12 @@ class BarrierClock:
         """Report that a robot has finished a tick; a robot that was silent is waited for again."""
         self._through[robot] = max(tick, self._through.get(robot, -1))
         self._missed.discard(robot)
+
+    @property
+    def waited_for(self) -> set[int]:
+        """Robots that have not finished the tick, less those that have been silent for too long."""
+        late = {robot for robot, tick in self._through.items() if tick < self._tick}
+        return late - self._missed
 
     def _begin(self, tick: int, now: float) -> None:
         self._tick, self._since = tick, now

@@ -43,6 +43,10 @@ class Drive:
     """Per second."""
     clearance: float = 0.33
     """The robot waits while another robot ahead is nearer than this (metres)."""
+    radius: float = 0.105
+    """Of the robot itself (metres)."""
+    margin: float = 0.03
+    """The robot stops before what its scan shows nearer than this to its body's way (metres)."""
 
     def __post_init__(self) -> None:
         """Check limits and gains."""
@@ -54,23 +58,34 @@ class Drive:
             "heading_tolerance": "radians",
             "forward_gain": "1/s",
             "turn_gain": "1/s",
+            "radius": "metres",
         }
         for name, unit in units.items():
             require_positive(name, getattr(self, name), unit)
-        require_not_negative("clearance", self.clearance, "metres")
+        for name in ("clearance", "margin"):
+            require_not_negative(name, getattr(self, name), "metres")
 
     def arrived(self, pose: Pose, goal: tuple[float, float]) -> bool:
         """Whether a robot is at its goal, (x, y) in metres."""
         return math.hypot(goal[0] - pose.x, goal[1] - pose.y) < self.arrival
 
-    def velocity(self, pose: Pose, goal: tuple[float, float], others: Iterable[Pose]) -> Velocity:
-        """Velocity towards a goal, (x, y) in metres; not forward if another robot is ahead."""
+    def velocity(
+        self, pose: Pose, goal: tuple[float, float], others: Iterable[Pose], blocked: bool = False
+    ) -> Velocity:
+        """Velocity towards a goal.
+
+        Args:
+            pose: of the robot.
+            goal: (x, y) in metres.
+            others: poses of the other robots; it does not drive towards one that is near.
+            blocked: whether something else is in the way: it turns, but does not drive.
+        """
         if self.arrived(pose, goal):
             return ZERO
         east, north = goal[0] - pose.x, goal[1] - pose.y
         error = wrapped(math.atan2(north, east) - pose.yaw)
         turn = max(-self.max_turn, min(self.max_turn, self.turn_gain * error))
-        if abs(error) > self.heading_tolerance or self._is_blocked(pose, others):
+        if blocked or abs(error) > self.heading_tolerance or self._is_blocked(pose, others):
             return Velocity(0.0, turn)
         distance = math.hypot(east, north)
         forward = min(self.forward_gain * distance, self.max_forward)

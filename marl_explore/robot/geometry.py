@@ -4,11 +4,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from marl_explore.config.arena import ArenaConfig
 
 GridCell = tuple[int, int]
 """(row, column); row 0 is north."""
+
+
+class Mount(NamedTuple):
+    """Where a sensor is on its robot, as seen from the robot's middle."""
+
+    x: float = 0.0
+    """Ahead (metres)."""
+    y: float = 0.0
+    """To the left (metres)."""
+    yaw: float = 0.0
+    """Its own heading, 0 ahead, counter-clockwise (radians)."""
+
+
+class Disc(NamedTuple):
+    """A part of the ground, in the arena's frame (metres)."""
+
+    x: float
+    y: float
+    radius: float
 
 
 @dataclass(frozen=True)

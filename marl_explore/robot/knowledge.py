@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter, deque
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from marl_explore.config.checks import require
 from marl_explore.config.constants import NEVER, UNKNOWN
+from marl_explore.robot.evidence import Evidence, EvidenceModel, Map
 from marl_explore.robot.geometry import Frame, GridCell
 from marl_explore.robot.mapper import square
+from marl_explore.robot.merging import Fit, MergeLimits, Refusal, fit, likely_cause
+from marl_explore.robot.packing import MOST_CELLS
 
-Map = NDArray[np.int8]
+_KEPT = 32
 
 
 class Knowledge:
@@ -21,65 +25,111 @@ class Knowledge:
         robot: number of the robot.
         robots: size of the team, N.
         frame: the arena's grid.
+        model: how looks change cells.
+        limits: which maps of others are refused.
+
+    Raises:
+        ValueError: for an arena of more cells than robots can share.
     """
 
-    def __init__(self, robot: int, robots: int, frame: Frame) -> None:
+    def __init__(
+        self,
+        robot: int,
+        robots: int,
+        frame: Frame,
+        model: EvidenceModel | None = None,
+        limits: MergeLimits | None = None,
+    ) -> None:
+        cells, allowed = frame.height * frame.width, f"robots share maps of at most {MOST_CELLS}"
+        require(cells <= MOST_CELLS, "cells", cells, allowed)
         self.robot = robot
         self.frame = frame
-        self.map: Map = np.full((frame.height, frame.width), UNKNOWN, np.int8)
+        self.model, self.limits = model or EvidenceModel(), limits or MergeLimits()
+        self.evidence = Evidence.none(frame.height, frame.width)
+        self.map: Map = self.evidence.map
+        """int8 [H, W]."""
+        self.changes = 0
+        """How often a cell of the map became known or changed."""
         self.unshared = np.zeros(robots, np.int64)
         self.steps_since_merge = np.full(robots, NEVER, np.int64)
         self.steps_since_merge[robot] = 0
+        self.refusals: deque[Refusal] = deque(maxlen=_KEPT)
+        """The last maps that were refused."""
+        self.refused: Counter[int] = Counter()
+        """How many maps of each robot were refused."""
         self._began = False
 
-    def sense(self, cell: GridCell, seen: Map) -> int:
-        """Write the cells seen around a cell into the map; known cells keep their values.
+    def sense(self, cell: GridCell, seen: Map, tick: int) -> int:
+        """Add what a robot sees around its cell to the evidence; that cell itself is free.
 
         Args:
-            cell: middle of the square.
+            cell: middle of the square, inside the arena.
             seen: ``mapper.sight``, int8 [2k + 1, 2k + 1].
+            tick: when it was seen.
 
         Returns:
-            Number of cells that were new.
+            Number of cells that became known or changed.
         """
-        discovered = 0
-        for place, code in zip(square(cell, len(seen) // 2), seen.flat, strict=True):
-            if code != UNKNOWN and self.frame.inside(place) and self.map[place] == UNKNOWN:
-                self.map[place] = code
-                discovered += 1
-        self.unshared += discovered
+        found = self._placed(cell, seen)
+        changed = self._become(self.evidence.looked(found, tick, self.model, cell))
+        self.unshared += changed
         self.unshared[self.robot] = 0
+        self.pass_time()
+        return changed
+
+    def fit(self, cell: GridCell, seen: Map) -> Fit:
+        """How well what a robot sees around its cell agrees with the map; as ``sense``."""
+        return fit(self.map, self._placed(cell, seen))
+
+    def _placed(self, cell: GridCell, seen: Map) -> Map:
+        """What is seen around a cell as a map, int8 [H, W]."""
+        found = np.full_like(self.map, UNKNOWN)
+        for place, code in zip(square(cell, len(seen) // 2), seen.flat, strict=True):
+            if self.frame.inside(place):
+                found[place] = code
+        return found
+
+    def pass_time(self) -> None:
+        """Count a step in which nothing was seen, or that has been seen."""
         if self._began:
             others = np.arange(len(self.unshared)) != self.robot
             self.steps_since_merge = np.minimum(self.steps_since_merge + others, NEVER)
         self._began = True
-        return discovered
 
-    def merge(self, maps: Mapping[int, Map]) -> int:
+    def merge(self, maps: Mapping[int, Evidence], tick: int = 0) -> int:
         """Merge the maps of the other members of a network into the own map.
 
+        One that contradicts the own map, or those merged before it, is refused and reported.
+
         Args:
-            maps: by robot, int8 [H, W] each.
+            maps: evidence by robot, merged in the order of their numbers.
+            tick: when they are merged.
 
         Returns:
-            Number of cells that were new.
+            Number of cells that became known or changed.
         """
-        before = self.known
-        for robot, grid in maps.items():
-            self.map = np.where(self.map == UNKNOWN, grid, self.map)
+        changed = 0
+        for robot, evidence in sorted(maps.items()):
+            other = evidence.map
+            agreement = fit(self.map, other)
+            if self.limits.exceeded(agreement):
+                cause = likely_cause(self.map, other, self.limits)
+                self.refusals.append(Refusal(robot, tick, agreement, cause))
+                self.refused[robot] += 1
+                continue
+            changed += self._become(self.evidence.joined(evidence))
             self.unshared[robot] = self.steps_since_merge[robot] = 0
-        return self.known - before
+        return changed
+
+    def _become(self, evidence: Evidence) -> int:
+        """Take evidence over; the number of cells that became known or changed."""
+        before, self.map = self.map, evidence.map
+        self.evidence = evidence
+        changed = int((before != self.map).sum())
+        self.changes += changed
+        return changed
 
     @property
     def known(self) -> int:
         """Number of known cells."""
         return int((self.map != UNKNOWN).sum())
-
-
-def union(maps: Iterable[Map]) -> Map:
-    """The union of several maps; if they contradict each other, the first counts."""
-    maps = iter(maps)
-    total = next(maps)
-    for grid in maps:
-        total = np.where(total == UNKNOWN, grid, total)
-    return total

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 
-from marl_explore.robot.knowledge import Map
+from marl_explore.robot.evidence import Evidence
 from marl_explore.robot.messages import Envelope, Intent, Message, Share
 
 KEPT_TICKS = 8
@@ -28,7 +28,8 @@ class Mailbox:
         self._intents: dict[int, dict[int, Intent]] = defaultdict(dict)
         self._shares: dict[int, dict[int, tuple[int, Share]]] = defaultdict(dict)
         self._passed: set[tuple[int, int]] = set()
-        self._taken: set[tuple[int, int]] = set()
+        self._new: dict[int, Evidence] = {}
+        self._newest: dict[int, int] = {}
         self._out: list[Envelope] = []
 
     def receive(self, envelope: Envelope) -> None:
@@ -39,22 +40,23 @@ class Mailbox:
         elif isinstance(message, Share) and message.robot != self.robot:
             shares = self._shares[message.tick]
             shares.setdefault(message.robot, (envelope.sender, message))
+            if message.tick > self._newest.get(message.robot, -1):  # a map holds all before it
+                self._newest[message.robot] = message.tick
+                self._new[message.robot] = message.evidence
 
     def intents(self, tick: int, robots: Iterable[int]) -> dict[int, Intent]:
         """The intents that arrived from some robots for a tick."""
         told = self._intents.get(tick, {})
         return {robot: told[robot] for robot in robots if robot in told}
 
-    def shared(self, tick: int, robots: Iterable[int]) -> dict[int, Map]:
+    def shared(self, tick: int, robots: Iterable[int]) -> dict[int, Evidence]:
         """Maps that arrived in a tick from some robots, also forwarded ones, by their owner."""
-        return {share.robot: share.map for _, share in self._sent_by(tick, robots)}
+        return {share.robot: share.evidence for _, share in self._sent_by(tick, robots)}
 
-    def take_shared(self, tick: int, robots: Iterable[int]) -> dict[int, Map]:
-        """As ``shared``, but every map is returned only once."""
-        maps = self.shared(tick, robots)
-        maps = {robot: grid for robot, grid in maps.items() if (tick, robot) not in self._taken}
-        self._taken |= {(tick, robot) for robot in maps}
-        return maps
+    def take_new(self) -> dict[int, Evidence]:
+        """The latest map of each robot that arrived since the last call, however late."""
+        new, self._new = self._new, {}
+        return new
 
     def _sent_by(self, tick: int, robots: Iterable[int]) -> list[tuple[int, Share]]:
         members = set(robots)
@@ -66,8 +68,9 @@ class Mailbox:
         if receivers:
             kind = type(message).__name__.lower()
             self.sent[kind] += len(receivers)
-            self.sent_bytes[kind] += len(receivers) * len(message.encode())
-            self._out.append(Envelope(self.robot, receivers, message))
+            letter = Envelope(self.robot, receivers, message)
+            self.sent_bytes[kind] += len(receivers) * len(letter.encode())
+            self._out.append(letter)
 
     def pass_on(self, tick: int, robots: Iterable[int]) -> None:
         """Forward every map of a tick once, so that it reaches the whole network."""
@@ -88,5 +91,4 @@ class Mailbox:
         for letters in (self._intents, self._shares):
             for old in [t for t in letters if t < last]:
                 del letters[old]
-        for keys in (self._passed, self._taken):
-            keys -= {key for key in keys if key[0] < last}
+        self._passed -= {key for key in self._passed if key[0] < last}

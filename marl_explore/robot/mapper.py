@@ -2,49 +2,75 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.config.checks import require_integer, require_not_negative, require_positive
+from marl_explore.config.checks import (
+    require_finite,
+    require_integer,
+    require_not_negative,
+    require_positive,
+)
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
 from marl_explore.config.fields import check_types
-from marl_explore.robot.geometry import Frame, GridCell
+from marl_explore.robot.geometry import Disc, Frame, GridCell, Mount
 from marl_explore.robot.messages import Pose, Scan
 
 Floats = NDArray[np.floating]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class BeamModel:
     """How beams vote for cells."""
 
-    entry_tolerance: float = 0.12
-    """Largest distance of a return from where its beam enters the cell it votes for (metres)."""
+    tolerance: float = 0.12
+    """Returns this near to another cell that may have caused them do not vote (metres)."""
     margin: float = 0.08
     """Beams that only touch the rim of a cell do not vote on it; the rim's width (metres)."""
     robot_radius: float = 0.16
     """Returns closer than this to a known robot are its body (metres)."""
     votes: int = 3
     """Minimum number of votes to decide a cell."""
-    lidar_ahead: float = 0.0
+    zero_is_no_return: bool = False
+    """Whether a range of 0 means that nothing came back, as from a TurtleBot3's LDS-01."""
+    lidar_x: float = 0.0
     """Position of the lidar, ahead of the middle of the robot (metres)."""
+    lidar_y: float = 0.0
+    """Position of the lidar, left of the middle of the robot (metres)."""
+    lidar_yaw: float = 0.0
+    """Heading of the lidar, 0 ahead, counter-clockwise (radians)."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
         check_types(self)
-        require_positive("entry_tolerance", self.entry_tolerance, "metres")
+        require_positive("tolerance", self.tolerance, "metres")
         for name in ("margin", "robot_radius"):
             require_not_negative(name, getattr(self, name), "metres")
         require_integer("votes", self.votes, 1)
-        if not math.isfinite(self.lidar_ahead):
-            raise ValueError(
-                f"lidar_ahead={self.lidar_ahead!r} is not allowed: it must be a finite number of "
-                "metres"
-            )
+        units = {"lidar_x": "metres", "lidar_y": "metres", "lidar_yaw": "radians"}
+        for name, unit in units.items():
+            require_finite(name, getattr(self, name), unit)
+
+    @property
+    def mount(self) -> Mount:
+        """Where the lidar is on the robot."""
+        return Mount(self.lidar_x, self.lidar_y, self.lidar_yaw)
+
+
+class _Beams(NamedTuple):
+    """The beams that say something, as seen from the lidar."""
+
+    heading: Floats
+    """[R, 2]."""
+    length: Floats
+    """[R] (metres)."""
+    returned: Mask
+    """Whether something came back, other than a robot's body [R]."""
 
 
 def sight(
@@ -54,11 +80,13 @@ def sight(
     frame: Frame,
     radius: int,
     model: BeamModel | None = None,
+    astray: Iterable[Disc] = (),
 ) -> NDArray[np.int8]:
     """The cells of the square around a robot, row 0 north.
 
-    Faces of obstacles lie on cell borders, so a return votes for the cell whose border its beam
-    enters there, and the beam votes against the cells that it has passed through.
+    A beam votes against the cells whose core it has crossed. A return votes for the cell that holds
+    the point just behind it, unless it is near another cell that may have caused it: one that this
+    scan does not find free.
 
     Args:
         scan: one turn of the lidar.
@@ -67,6 +95,7 @@ def sight(
         frame: the arena's grid.
         radius: half side k of the square (cells).
         model: how beams vote.
+        astray: where robots may be whose poses are not known then; returns there do not vote.
 
     Returns:
         int8 [2k + 1, 2k + 1]: unknown, free (also where a robot stands) or occupied. Cells outside
@@ -74,25 +103,33 @@ def sight(
     """
     model = model or BeamModel()
     others = list(others)
-    cells = square(frame.cell(pose.x, pose.y), radius)
-    eye = pose.ahead(model.lidar_ahead)
+    cells = square(frame.cell(pose.x, pose.y), radius + 1)  # what is behind may have returned too
+    eye = pose.of_sensor(scan.mount or model.mount)
+    bodies = [Disc(other.x, other.y, 0.0) for other in others] + list(astray)
+    beams = _beams(scan, eye, bodies, model)
     centres = np.array([frame.centre(cell) for cell in cells]) - (eye.x, eye.y)
-    distance, returned, heading = _beams(scan, eye)
-    side = 2 * radius + 1
-    votes_for, votes_against = _votes(centres, heading, distance, frame.cell_size, model)
-    votes_for &= returned & ~_on_robots(distance, heading, eye, others, model.robot_radius)
-    hits, misses = votes_for.sum(-1), votes_against.sum(-1)
-    seen = np.full(len(cells), UNKNOWN, np.int8)
-    seen[(misses >= model.votes) & (misses >= hits)] = FREE
-    seen[(hits >= model.votes) & (hits > misses)] = OCCUPIED
-    robots = {frame.cell(other.x, other.y) for other in others}
-    for index, cell in enumerate(cells):
-        if cell in robots:
-            seen[index] = FREE
-        if not frame.inside(cell):
-            seen[index] = UNKNOWN
+    stood_in = {frame.cell(robot.x, robot.y) for robot in (pose, *others)}
+    robots = np.array([cell in stood_in for cell in cells])
+    seen = _decide(centres, beams, robots, frame.cell_size, model)
+    seen[robots] = FREE
+    seen[[not frame.inside(cell) for cell in cells]] = UNKNOWN
     seen[len(cells) // 2] = FREE
-    return _hide_corners(seen.reshape(side, side))
+    return _hide_corners(seen.reshape(2 * radius + 3, -1)[1:-1, 1:-1])
+
+
+def returns(scan: Scan, pose: Pose, robots: Iterable[Disc], model: BeamModel) -> Floats:
+    """Where beams ended, in the arena's frame [P, 2] (metres); not those that met a robot.
+
+    Args:
+        scan: one turn of the lidar.
+        pose: of the robot, when the scan was taken.
+        robots: where others were, or may have been.
+        model: how beams vote.
+    """
+    eye = pose.of_sensor(scan.mount or model.mount)
+    beams = _beams(scan, eye, robots, model)
+    ends: Floats = (beams.heading * beams.length[:, None])[beams.returned] + (eye.x, eye.y)
+    return ends
 
 
 def square(cell: GridCell, radius: int) -> list[GridCell]:
@@ -117,47 +154,63 @@ def _hide_corners(seen: NDArray[np.int8]) -> NDArray[np.int8]:
     return seen
 
 
-def _beams(scan: Scan, pose: Pose) -> tuple[Floats, NDArray[np.bool_], Floats]:
-    """Lengths [R] and headings [R, 2] of valid beams, and which of them returned."""
+def _beams(scan: Scan, eye: Pose, bodies: Iterable[Disc], model: BeamModel) -> _Beams:
     ranges = np.asarray(scan.ranges, np.float64)
-    nothing = ((ranges == 0) | np.isnan(ranges) | (ranges >= scan.range_max)) & scan.is_on
-    angle = pose.yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    says = nothing | (ranges > scan.range_min)
-    length = np.where(nothing, scan.range_max, ranges)[says]
+    nothing = ranges >= scan.range_max
+    if model.zero_is_no_return and scan.is_on:
+        nothing |= ranges == 0
+    says = nothing | (ranges > scan.range_min)  # not NaN
+    angle = eye.yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     heading = np.stack((np.cos(angle), np.sin(angle)), -1)[says]
-    return length, ~nothing[says], heading
+    length = np.where(nothing, scan.range_max, ranges)[says]
+    ends = heading * length[:, None] + (eye.x, eye.y)
+    returned = ~nothing[says]
+    for body in bodies:
+        returned &= np.hypot(*(ends - body[:2]).T) >= model.robot_radius + body.radius
+    return _Beams(heading, length, returned)
 
 
-def _on_robots(
-    distance: Floats, heading: Floats, pose: Pose, others: list[Pose], radius: float
-) -> NDArray[np.bool_]:
-    """Beams [R] that end at a known robot."""
-    ends = heading * distance[:, None] + (pose.x, pose.y)
-    on = np.zeros(len(distance), bool)
-    for other in others:
-        on |= np.hypot(*(ends - (other.x, other.y)).T) < radius
-    return on
+def _decide(
+    centres: Floats, beams: _Beams, robots: Mask, side: float, model: BeamModel
+) -> NDArray[np.int8]:
+    """Unknown, free or occupied by the votes of all beams, int8 [C].
+
+    Args:
+        centres: middles of the square's cells, as seen from the lidar [C, 2] (metres).
+        beams: of the scan.
+        robots: cells in which a robot stands [C].
+        side: of a cell (metres).
+        model: how beams vote.
+    """
+    half = side / 2
+    ends = beams.heading * beams.length[:, None]
+    outside = np.where(beams.returned, _outside(centres, ends, half), np.inf)
+    behind = _outside(centres, ends + beams.heading * model.margin, half)
+    holds = (behind < 0) & beams.returned
+    crossed = _crossed(centres, beams, half - model.margin).sum(-1)
+    free = robots | ((crossed >= model.votes) & (crossed >= holds.sum(-1)))
+    clear = ~((outside < model.tolerance) & ~holds & ~free[:, None]).any(0)
+    in_the_open = (holds & free[:, None]).any(0)  # no box, so it may be in both cells
+    hits = ((holds | ((outside < 0) & in_the_open)) & clear).sum(-1)
+    deep = (outside < -model.margin).sum(-1)
+    seen = np.full(len(centres), UNKNOWN, np.int8)
+    seen[free & (2 * hits < model.votes) & (deep < model.votes)] = FREE
+    seen[hits >= model.votes] = OCCUPIED
+    return seen
 
 
-def _votes(
-    centres: Floats, heading: Floats, distance: Floats, side: float, model: BeamModel
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which beams vote for and against cells, bool [C, R] each."""
-    enters, leaves = _crossings(centres, heading, side / 2)
-    error = np.abs(distance - enters)
-    error[(leaves - enters <= model.margin) | (enters <= 0)] = math.inf
-    best = np.zeros(error.shape, bool)
-    np.put_along_axis(best, error.argmin(0)[None], True, 0)  # only the cell that fits best
-    votes_for = best & (error < model.entry_tolerance)
-    enters, leaves = _crossings(centres, heading, side / 2 - model.margin)
-    through = (leaves > enters) & (leaves > 0)
-    through &= distance > np.maximum(enters, 0) + 2 * model.margin
-    return votes_for, through & ~votes_for
+def _outside(centres: Floats, points: Floats, half: float) -> Floats:
+    """How far points [P, 2] are outside the squares around centres [C, 2], negative inside [C, P].
+
+    The larger of the distances along x and y counts (metres).
+    """
+    return np.abs(centres[:, None] - points).max(-1) - half
 
 
-def _crossings(centres: Floats, heading: Floats, half: float) -> tuple[Floats, Floats]:
-    """Distances along each beam at which the squares around centres begin and end, [C, R] each."""
-    slope = np.where(np.abs(heading) < 1e-9, 1e-9, heading)[None]
+def _crossed(centres: Floats, beams: _Beams, half: float) -> Mask:
+    """Which beams have crossed the squares around centres, [C, R]."""
+    slope = np.where(np.abs(beams.heading) < 1e-9, 1e-9, beams.heading)[None]
     low = (centres[:, None] - half) / slope
     high = (centres[:, None] + half) / slope
-    return np.minimum(low, high).max(-1), np.maximum(low, high).min(-1)
+    enters, leaves = np.minimum(low, high).max(-1), np.maximum(low, high).min(-1)
+    return (leaves > np.maximum(enters, 0)) & (beams.length > leaves)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.config.constants import NUM_ACTIONS, UNKNOWN
-from marl_explore.robot.geometry import GridCell
+from marl_explore.config.constants import NUM_ACTIONS
+from marl_explore.robot.evidence import Evidence
+from marl_explore.robot.geometry import GridCell, Mount
+from marl_explore.robot.packing import pack, unpack
 
-MOST_TICKS_APART = 10_000
-"""Between a message and its receiver; a robot that joins late takes over the team's tick."""
+MOST_TICKS = 2**53
+"""Largest tick of a message; no clock of a robot gets there."""
 
 
 def _require_finite(measured: Pose | Scan, *names: str) -> None:
@@ -45,10 +48,15 @@ class Pose:
         """
         _require_finite(self, "stamp", "x", "y", "yaw")
 
-    def ahead(self, distance: float) -> Pose:
-        """The pose moved forward by a distance (metres)."""
-        x, y = self.x + distance * math.cos(self.yaw), self.y + distance * math.sin(self.yaw)
-        return replace(self, x=x, y=y)
+    def of_sensor(self, mount: Mount) -> Pose:
+        """The pose of a sensor on the robot."""
+        ahead, left = math.cos(self.yaw), math.sin(self.yaw)
+        return replace(
+            self,
+            x=self.x + mount.x * ahead - mount.y * left,
+            y=self.y + mount.x * left + mount.y * ahead,
+            yaw=self.yaw + mount.yaw,
+        )
 
 
 @dataclass(frozen=True)
@@ -58,15 +66,17 @@ class Scan:
     stamp: float
     """Time of measurement (seconds)."""
     ranges: NDArray[np.floating]
-    """Distances [R] (metres); 0, inf and NaN are no return, unless the lidar is off."""
+    """Distances [R] (metres); inf is no return, and NaN says nothing (REP 117)."""
     angle_min: float = 0.0
-    """Angle of the first beam in the robot's frame, 0 ahead (radians)."""
+    """Angle of the first beam in the lidar's frame, 0 ahead (radians)."""
     angle_increment: float = 2 * np.pi / 360
     """Angle between beams, counter-clockwise (radians)."""
     range_min: float = 0.12
     """Shorter ranges are ignored (metres)."""
     range_max: float = 3.5
     """Longer ranges mean no return (metres)."""
+    mount: Mount | None = None
+    """Where the lidar is on the robot, if the scan says so; None: as the settings have it."""
 
     @property
     def is_on(self) -> bool:
@@ -74,12 +84,19 @@ class Scan:
         return bool((np.asarray(self.ranges) > self.range_min).any())
 
     def check(self) -> None:
-        """Raise an error for numbers that are not finite, and for a lidar that is off.
+        """Raise an error for numbers that cannot be a lidar's, and for a lidar that is off.
 
         Raises:
             ValueError: naming the field and its value.
         """
         _require_finite(self, "stamp", "angle_min", "angle_increment", "range_min", "range_max")
+        if not all(map(math.isfinite, self.mount or ())):
+            raise ValueError(f"mount={self.mount} is not allowed: its numbers must be finite")
+        if self.range_max <= self.range_min:
+            raise ValueError(
+                f"range_max={self.range_max!r} is not allowed: it must be more than "
+                f"range_min={self.range_min!r}"
+            )
         if not self.is_on:
             raise ValueError(
                 f"a scan in which no range is above range_min={self.range_min} is not allowed: "
@@ -101,12 +118,23 @@ class Intent:
     sideways: bool = False
     """Whether its diagonal can pass through the cell east or west of it."""
 
-    _FORMAT = struct.Struct("<BBIhhBB")
+    _FORMAT = struct.Struct("<BBQhhBB")
 
     def encode(self) -> bytes:
-        """Twelve bytes."""
+        """Sixteen bytes."""
         sides = self.upright | self.sideways << 1
         return self._FORMAT.pack(1, self.robot, self.tick, *self.cell, self.action, sides)
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Raise an error for an action that there is not, or a cell outside maps [H, W].
+
+        Raises:
+            ValueError: naming it.
+        """
+        if not 0 <= self.action < NUM_ACTIONS:
+            raise ValueError(f"action={self.action} is not allowed: 0 to {NUM_ACTIONS - 1}")
+        if not all(0 <= place < size for place, size in zip(self.cell, shape, strict=True)):
+            raise ValueError(f"cell={self.cell} is not allowed: the arena has {shape} cells")
 
     @classmethod
     def decode(cls, data: bytes) -> Intent:
@@ -122,36 +150,31 @@ class Share:
     robot: int
     """Whose map it is."""
     tick: int
-    map: NDArray[np.int8]
-    """int8 [H, W]."""
+    evidence: Evidence
 
-    _FORMAT = struct.Struct("<BBIHH")
+    _FORMAT = struct.Struct("<BBQHH")
+
+    @property
+    def map(self) -> NDArray[np.int8]:
+        """Unknown, free and occupied cells, int8 [H, W]."""
+        return self.evidence.map
 
     def encode(self) -> bytes:
-        """Ten bytes, and two bits per cell."""
-        height, width = self.map.shape
-        codes = (self.map - UNKNOWN).astype(np.uint8)
-        bits = np.packbits(np.stack((codes & 1, codes >> 1)).astype(bool))
-        return self._FORMAT.pack(2, self.robot, self.tick, height, width) + bits.tobytes()
+        """Fourteen bytes, then the evidence, packed."""
+        height, width = self.evidence.looks.shape
+        head = self._FORMAT.pack(2, self.robot, self.tick, height, width)
+        return head + pack(self.evidence, self.tick)
 
     @classmethod
     def decode(cls, data: bytes) -> Share:
         """The share that was encoded.
 
         Raises:
-            ValueError: for a wrong length, before allocating memory, or other cell values.
+            ValueError: when it is not the evidence for a map of the stated size.
         """
         _, robot, tick, height, width = cls._FORMAT.unpack_from(data)
-        length = cls._FORMAT.size + math.ceil(height * width / 4)
-        if len(data) != length:
-            raise ValueError(
-                f"a map of {height} x {width} cells has {length} bytes, not {len(data)}"
-            )
-        packed = np.frombuffer(data, np.uint8, offset=cls._FORMAT.size)
-        low, high = np.unpackbits(packed, count=2 * height * width).reshape(2, height, width)
-        if (low & high).any():
-            raise ValueError("cells are unknown, free or occupied: 0, 1 or 2, not 3")
-        return cls(robot, tick, (low + 2 * high).astype(np.int8) + np.int8(UNKNOWN))
+        evidence = unpack(data[cls._FORMAT.size :], height, width, tick)
+        return cls(robot, tick, evidence)
 
 
 @dataclass(frozen=True)
@@ -161,10 +184,10 @@ class Done:
     robot: int
     tick: int
 
-    _FORMAT = struct.Struct("<BBI")
+    _FORMAT = struct.Struct("<BBQ")
 
     def encode(self) -> bytes:
-        """Six bytes."""
+        """Ten bytes."""
         return self._FORMAT.pack(3, self.robot, self.tick)
 
     @classmethod
@@ -192,6 +215,9 @@ def decode(data: bytes) -> Message:
         raise ValueError(f"broken message {kind.__name__}: {error}") from error
 
 
+_CRC_BYTES = 4
+
+
 @dataclass(frozen=True)
 class Envelope:
     """A message with its sender and receivers."""
@@ -202,34 +228,63 @@ class Envelope:
     """The receiving robots."""
     message: Message
 
-    def check(self, robots: int, shape: tuple[int, int], tick: int) -> None:
+    def encode(self) -> bytes:
+        """The sender, the message, and a CRC-32 of both: five bytes more than the message."""
+        data = bytes([self.sender]) + self.message.encode()
+        return data + zlib.crc32(data).to_bytes(_CRC_BYTES, "little")
+
+    @classmethod
+    def decode(cls, data: bytes, receiver: int) -> Envelope:
+        """The message that was encoded.
+
+        Args:
+            data: as from ``encode``.
+            receiver: who got it.
+
+        Raises:
+            ValueError: when the data are not a message, or were damaged on the way.
+        """
+        told, crc = data[:-_CRC_BYTES], data[-_CRC_BYTES:]
+        if len(told) < 1 or zlib.crc32(told) != int.from_bytes(crc, "little"):
+            raise ValueError(f"these {len(data)} bytes are not a message, or damaged: the CRC-32")
+        return cls(told[0], (receiver,), decode(told[1:]))
+
+    def check(self, receiver: int, robots: int, shape: tuple[int, int]) -> None:
         """Raise an error for a message that cannot come from the team.
 
         Args:
+            receiver: who got it.
             robots: size of the team, N.
             shape: of its maps, [H, W].
-            tick: of the receiver.
 
         Raises:
             ValueError: naming what does not fit.
         """
         message = self.message
         for number in (self.sender, message.robot):
-            if number >= robots:
-                raise ValueError(f"a message of robot {number} is not allowed: 0 to {robots - 1}")
+            require_robot(number, robots, "a message")
+        if self.sender == receiver:
+            raise ValueError(f"a message of robot {receiver} to itself is not allowed")
         if not isinstance(message, Share) and message.robot != self.sender:
             raise ValueError(
                 f"{type(message).__name__} of robot {message.robot} is not allowed: robot "
                 f"{self.sender} sent it, and only maps are passed on"
             )
-        if isinstance(message, Intent) and message.action >= NUM_ACTIONS:
-            raise ValueError(f"action={message.action} is not allowed: 0 to {NUM_ACTIONS - 1}")
-        if abs(message.tick - tick) > MOST_TICKS_APART:
-            raise ValueError(
-                f"tick={message.tick} is not allowed: at most {MOST_TICKS_APART} from that of the "
-                f"receiver, {tick}"
-            )
+        if not 0 <= message.tick <= MOST_TICKS:
+            raise ValueError(f"tick={message.tick} is not allowed: 0 to {MOST_TICKS}")
         if isinstance(message, Share) and message.map.shape != shape:
             raise ValueError(
                 f"a map of shape {message.map.shape} is not allowed: the arena's is {shape}"
             )
+        if isinstance(message, Intent):
+            message.check(shape)
+
+
+def require_robot(number: int, robots: int, what: str) -> None:
+    """Raise an error for the number of a robot that is not in the team.
+
+    Raises:
+        ValueError: naming it.
+    """
+    if not 0 <= number < robots:
+        raise ValueError(f"{what} of robot {number} is not allowed: 0 to {robots - 1}")

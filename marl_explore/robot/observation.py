@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +20,10 @@ from marl_explore.config.constants import (
     UNKNOWN,
     Normalization,
 )
+from marl_explore.robot.evidence import Map
 from marl_explore.robot.frontier import feature_table
 from marl_explore.robot.geometry import GridCell
-from marl_explore.robot.knowledge import Knowledge, Map
+from marl_explore.robot.knowledge import Knowledge
 from marl_explore.robot.mapper import hidden_corners
 
 
@@ -59,6 +59,15 @@ def in_range(cell: GridCell, other: GridCell, range_cells: float) -> bool:
     return squared <= (range_cells + TOLERANCE) ** 2
 
 
+def in_reach(robot: int, cells: Mapping[int, GridCell], config: ArenaConfig) -> set[int]:
+    """The other robots within a robot's communication range."""
+    return {
+        other
+        for other, place in cells.items()
+        if other != robot and in_range(cells[robot], place, config.reach_cells(robot, other))
+    }
+
+
 def observe(
     knowledge: Knowledge,
     cells: Mapping[int, GridCell],
@@ -66,6 +75,8 @@ def observe(
     fpr: Normalization | None,
     step: int = 0,
     refused: bool = False,
+    shut: Iterable[GridCell] = (),
+    silent: Collection[int] = (),
 ) -> Observation:
     """The observation of a robot.
 
@@ -76,21 +87,26 @@ def observe(
         fpr: normalisation of the frontier table.
         step: of the episode.
         refused: whether the robot's last action was a move that was not made.
+        shut: cells that it could not reach lately: they count as occupied.
+        silent: robots that do not answer, and so are not linked.
     """
-    robot = knowledge.robot
+    robot, grid = knowledge.robot, knowledge.map.copy()
+    for place in shut:
+        if place != cells[robot] and grid[place] == FREE:
+            grid[place] = OCCUPIED
     cell = cells[robot]
     others = {other: place for other, place in cells.items() if other != robot}
-    codes = _around(knowledge.map, cell, config.fov_radius)
+    codes = _around(grid, cell, config.fov_radius)
     net = np.zeros(config.num_agents, np.float32)
     net[robot] = 1
-    for other, place in others.items():
-        net[other] = in_range(cell, place, config.reach_cells(robot, other))
+    for other in in_reach(robot, cells, config).difference(silent):
+        net[other] = 1
     return Observation(
         fov=_field_of_view(codes, cell, others),
-        fpr=feature_table(knowledge.map, cell, fpr),
+        fpr=feature_table(grid, cell, fpr),
         net=net,
         action_mask=_action_mask(codes, cell, others, net),
-        map=knowledge.map.copy(),
+        map=grid,
         position=cell,
         unshared=knowledge.unshared.copy(),
         steps_since_merge=knowledge.steps_since_merge.copy(),
@@ -156,5 +172,8 @@ def _action_mask(
 
 
 def complete(observation: Observation) -> bool:
-    """Whether the robot's map has no reachable frontier."""
-    return math.isclose(float(observation.fpr[:, 0].sum()), 0)
+    """Whether no free cell that the robot can reach, its own included, borders an unknown one."""
+    grid, (row, column) = observation.map, observation.position
+    beside = grid[max(row - 1, 0) : row + 2, column], grid[row, max(column - 1, 0) : column + 2]
+    others_do = observation.fpr[:, 0].any()  # frontiers in all directions, without the own cell
+    return not others_do and all((codes != UNKNOWN).all() for codes in beside)

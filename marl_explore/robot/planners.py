@@ -121,7 +121,9 @@ def frontiers(observed: Observation) -> Mask:
     return beside_any(observed.map == UNKNOWN) & (observed.map == FREE)
 
 
-def _moves_of_another(grid: NDArray[np.int8], mask: Mask, place: Integers, cell: tuple[int, int]) -> Integers:
+def _moves_of_another(
+    grid: NDArray[np.int8], mask: Mask, place: Integers, cell: tuple[int, int]
+) -> Integers:
     """Moves of a linked robot to each frontier [F]."""
     _, length = paths_to(grid, mask, cell)
     straight = np.abs(place - cell).max(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from marl_explore.config.arena import ArenaConfig
@@ -16,18 +16,35 @@ from marl_explore.config.constants import (
 from marl_explore.robot.agreement import Way, agree, target
 from marl_explore.robot.clock import Clock
 from marl_explore.robot.driving import ZERO, Velocity
-from marl_explore.robot.geometry import Frame, GridCell
+from marl_explore.robot.geometry import Disc, Frame, GridCell
+from marl_explore.robot.guard import Guard
+from marl_explore.robot.jumps import JumpGuard
 from marl_explore.robot.knowledge import Knowledge
 from marl_explore.robot.mailbox import KEPT_TICKS, Mailbox
 from marl_explore.robot.mapper import sight
-from marl_explore.robot.messages import Done, Envelope, Intent, Pose, Scan, Share
-from marl_explore.robot.observation import Observation, complete, observe, sides_of
-from marl_explore.robot.sensors import Sensors
+from marl_explore.robot.messages import (
+    Done,
+    Envelope,
+    Intent,
+    Pose,
+    Scan,
+    Share,
+    require_robot,
+)
+from marl_explore.robot.observation import Observation, complete, in_reach, observe, sides_of
+from marl_explore.robot.policy import ExportedPolicy
+from marl_explore.robot.sensors import FutureStampError, Sensors
 from marl_explore.robot.settings import RobotSettings
+from marl_explore.robot.status import Reason, Status, named
+from marl_explore.robot.ways import step_aside
+from marl_explore.robot.wheels import Wheels
 
 Policy = Callable[[Observation], int]
 CONTENTION_CELLS = 8.0
 """Largest squared distance of two robots whose moves can have the same target (cells)."""
+_APART_CELLS = 2
+"""Largest distance of an intent's cell from the pose of its robot: moves may end in the next cell,
+and poses and messages are a little late."""
 
 
 class Output(NamedTuple):
@@ -52,7 +69,7 @@ class RobotCore:
 
     Raises:
         ValueError: when the communication range is less than 2 sqrt(2) cells: robots that could
-            collide would not hear each other.
+            collide would not hear each other; and for a policy for another team or field of view.
     """
 
     def __init__(
@@ -66,6 +83,8 @@ class RobotCore:
     ) -> None:
         if not 0 <= robot < config.num_agents:
             raise ValueError(f"robot={robot!r} is not allowed: 0 to {config.num_agents - 1}")
+        if isinstance(policy, ExportedPolicy):
+            policy.check(config.num_agents, config.fov_size)
         config.require_as_in_paper("the settings are for a robot")
         if config.reach_cells(robot, robot) ** 2 < CONTENTION_CELLS:
             raise ValueError(
@@ -76,14 +95,20 @@ class RobotCore:
         self.fpr = fpr
         self.settings = settings or RobotSettings()
         self.frame = Frame.of(config)
-        self.knowledge = Knowledge(robot, config.num_agents, self.frame)
+        evidence, limits = self.settings.evidence, self.settings.merging
+        self.knowledge = Knowledge(robot, config.num_agents, self.frame, evidence, limits)
+        self.jumps = JumpGuard(self.settings.jumps, self.settings.drive)
         self.sensors = Sensors(robot, self.settings.max_pose_age, self.settings.max_scan_age)
         self.mail = Mailbox(robot)
+        self.guard = Guard(self.settings.drive, self.settings.beams)
+        self.wheels = Wheels(self.settings.move_patience)
         self.tick = -1
         self.observation: Observation | None = None
         """The observation of the last tick with sensing."""
         self.action = STAY
         """The action of the last tick with a decision."""
+        self.status = Status(Reason.NO_POSE, "no pose has arrived yet")
+        """What the robot did at the last call of ``advance``, or why it stood still."""
         self._phase: Callable[[float], bool] = self._begin
         self._since = 0.0
         self._used: Scan | None = None
@@ -94,6 +119,8 @@ class RobotCore:
         self._intents: dict[int, Intent] = {}
         self._legs: list[GridCell] = []
         self._passed: list[GridCell] = []
+        self._shut: dict[GridCell, int] = {}
+        self._future: tuple[float, str] | None = None
 
     @property
     def is_sensing(self) -> bool:
@@ -113,17 +140,44 @@ class RobotCore:
                 numbers that are not finite; the event is dropped.
         """
         if isinstance(event, Scan):
-            self.sensors.add_scan(event, now)
+            self._take(event, now)
         elif isinstance(event, Pose):
-            self.sensors.add_pose(event, now)
+            require_robot(event.robot, self.config.num_agents, "a pose")
+            self._take(event, now)
+            if self.sensors.pose and event.robot == self.robot:
+                self.jumps.add(self.sensors.pose)
         else:
-            shape = self.config.height, self.config.width
-            event.check(self.config.num_agents, shape, self.tick)
+            event.check(self.robot, self.config.num_agents, (self.config.height, self.config.width))
+            if isinstance(event.message, Intent):
+                self._check_place(event.message, now)
             self._silent.discard(event.sender)
             if isinstance(event.message, Done):
                 self.clock.report(event.message.robot, event.message.tick, now)
             else:
                 self.mail.receive(event)
+
+    def _take(self, event: Scan | Pose, now: float) -> None:
+        try:
+            if isinstance(event, Scan):
+                self.sensors.add_scan(event, now)
+            else:
+                self.sensors.add_pose(event, now)
+        except FutureStampError as error:
+            self._future = now, str(error)
+            raise
+
+    def _check_place(self, intent: Intent, now: float) -> None:
+        """Refuse an intent from a place far from where its robot is known to be."""
+        pose = self.sensors.last(intent.robot)
+        if pose is None or abs(now - pose.stamp) > self.settings.max_pose_age:
+            return
+        row, column = self.frame.cell(pose.x, pose.y)
+        apart = max(abs(intent.cell[0] - row), abs(intent.cell[1] - column))
+        if intent.tick >= self.tick and apart > _APART_CELLS:
+            raise ValueError(
+                f"cell={intent.cell} of robot {intent.robot} is not allowed: its pose is in cell "
+                f"{(row, column)}"
+            )
 
     def advance(self, now: float) -> Output:
         """Advance as far as the received events allow.
@@ -136,7 +190,9 @@ class RobotCore:
             pass
         for tick, partners in self._partners.items():
             self.mail.pass_on(tick, partners)
-        return Output(self._velocity(now), self.mail.collect())
+        velocity = self._velocity(now)
+        self.status = self._report(now)
+        return Output(velocity, self.mail.collect())
 
     # ------------------------------------------------------------ the phases of a tick; each
     # returns whether to try the next one immediately
@@ -165,14 +221,28 @@ class RobotCore:
         if not self.frame.inside(cell):
             return False
         self._used = scan
-        radius, beams = self.config.fov_radius, self.settings.beams
-        seen = sight(scan, own, poses.values(), self.frame, radius, beams)
-        self.knowledge.sense(cell, seen)
+        self._look(scan, own, poses.values())
         self._merge()
         refused = self._was_refused(cell)
-        self.observation = observe(self.knowledge, cells, self.config, self.fpr, self.tick, refused)
+        self._shut = {place: until for place, until in self._shut.items() if until > self.tick}
+        self._reach = in_reach(self.robot, cells, self.config)
+        about = self.tick, refused, self._shut, self._silent
+        self.observation = observe(self.knowledge, cells, self.config, self.fpr, *about)
         self._decide(self.observation, now)
         return True
+
+    def _look(self, scan: Scan, own: Pose, others: Iterable[Pose]) -> None:
+        """Write what the robot sees into its map, unless its pose has jumped to a wrong place."""
+        settings = self.settings
+        reach = settings.drive.max_forward, settings.mate_patience, settings.mate_reach
+        astray = self.sensors.astray(scan.stamp, *reach)
+        radius = self.config.fov_radius
+        seen = sight(scan, own, others, self.frame, radius, settings.beams, astray)
+        cell = self.frame.cell(own.x, own.y)
+        if self.jumps.admits(own, self.knowledge.fit(cell, seen), self.tick):
+            self.knowledge.sense(cell, seen, self.tick)
+        else:
+            self.knowledge.pass_time()
 
     def _was_refused(self, cell: GridCell) -> bool:
         """Whether the last decision was a move that did not lead to its target."""
@@ -182,24 +252,29 @@ class RobotCore:
         return cell != target(Intent(self.robot, self.tick, start, self.action))
 
     def _merge(self) -> None:
-        for tick, partners in self._partners.items():
-            self.knowledge.merge(self.mail.take_shared(tick, partners))
+        self.knowledge.merge(self.mail.take_new(), self.tick)
 
     def _decide(self, observation: Observation, now: float) -> None:
-        if self.settings.stop_when_complete and complete(observation):
-            mask = observation.action_mask.copy()
-            mask[:NUM_DIRECTIONS] = False
-            observation = observation._replace(action_mask=mask)
-        self.action = int(self.policy(observation))
-        if not 0 <= self.action < NUM_ACTIONS:
-            raise ValueError(f"the policy's action {self.action!r} is not one of 0 to 9")
-        sides = sides_of(observation, self.config, self.action)
-        allowed = self.action if observation.action_mask[self.action] else STAY
+        self.action, allowed = self._choose(observation)
+        sides = sides_of(observation, self.config, allowed)
         intent = Intent(self.robot, self.tick, observation.position, allowed, *sides)
-        self._reach = {int(j) for j in observation.net.nonzero()[0]} - {self.robot}
         self._intents = {self.robot: intent}
         self.mail.send(intent, self._reach)
         self._since, self._phase = now, self._agree
+
+    def _choose(self, observation: Observation) -> tuple[int, int]:
+        """The policy's action, and the one that is made: STAY where it is not allowed."""
+        parked = self.settings.stop_when_complete and complete(observation)
+        mask = observation.action_mask.copy()
+        if parked:
+            mask[:NUM_DIRECTIONS] = False
+        action = int(self.policy(observation._replace(action_mask=mask)))
+        if not 0 <= action < NUM_ACTIONS:
+            raise ValueError(f"the policy's action {action!r} is not one of 0 to 9")
+        if parked and action != COMMUNICATE:
+            action = step_aside(observation.map, observation.position, self._held_cells())
+            mask = observation.action_mask
+        return action, action if mask[action] else STAY
 
     def _agree(self, now: float) -> bool:
         heard = self.mail.intents(self.tick, self._reach)
@@ -223,7 +298,7 @@ class RobotCore:
         if own.action == COMMUNICATE:
             talking = {robot for robot, other in heard.items() if other.action == COMMUNICATE}
             self._partners[self.tick] = talking
-            self.mail.send(Share(self.robot, self.tick, self.knowledge.map), talking)
+            self.mail.send(Share(self.robot, self.tick, self.knowledge.evidence), talking)
             self._phase = self._exchange
         return True
 
@@ -243,6 +318,7 @@ class RobotCore:
     def _wait_turn(self, now: float) -> bool:
         if all(self._has_arrived(other) for other in self._ways[self.robot].after):
             self._since, self._phase = now, self._drive
+            self.wheels.start(now)
             return True
         if now - self._since > self.settings.lock_expiry or self._is_overdue(now):
             return self._finish(now)
@@ -261,11 +337,22 @@ class RobotCore:
             self._passed.append(self._legs.pop(0))
         if not self._legs:
             return self._finish(now)
-        expired = now - self._since > self.settings.move_expiry
-        if expired and self._legs[-1] != self._passed[0]:  # back the way it came
-            self._legs = self._passed[::-1]
+        if pose and self.wheels.give_up(pose, now):
+            self._shut[self._legs[0]] = self.tick + self.settings.shut_ticks
+            if not self._return(now):
+                return self._finish(now)
+        elif now - self._since > self.settings.move_expiry:
+            self._return(now)
         self._is_overdue(now)
         return False
+
+    def _return(self, now: float) -> bool:
+        """Drive back the way it came, unless it is already doing so."""
+        if self._legs[-1] == self._passed[0]:
+            return False
+        self._legs = self._passed[::-1]
+        self.wheels.start(now)
+        return True
 
     def _arrived(self, pose: Pose) -> bool:
         return self.settings.drive.arrived(pose, self.frame.centre(self._legs[0]))
@@ -291,5 +378,78 @@ class RobotCore:
         pose = self.sensors.pose
         if self._phase != self._drive or pose is None or not self.sensors.fresh(now):
             return ZERO
+        self._watch_out()
         goal = self.frame.centre(self._legs[0])
-        return self.settings.drive.velocity(pose, goal, self.sensors.others())
+        blocked = self.guard.is_blocked(pose, goal)
+        velocity = self.settings.drive.velocity(pose, goal, self.sensors.others(), blocked)
+        self.wheels.command(velocity, blocked)
+        return velocity
+
+    def _watch_out(self) -> None:
+        """Look for obstacles in the latest scan."""
+        scan = self.sensors.scan
+        poses = self.sensors.at(scan.stamp) if scan else {}
+        if scan and self.robot in poses:
+            own = poses.pop(self.robot)
+            robots = [Disc(other.x, other.y, 0.0) for other in poses.values()]
+            self.guard.look(scan, own, robots)
+
+    def _held_cells(self) -> set[GridCell]:
+        """Cells of other robots inside the arena."""
+        cells = self.sensors.last_cells(self.frame).values()
+        return {cell for cell in cells if self.frame.inside(cell)}
+
+    # ------------------------------------------------------------ what it tells people
+
+    def _report(self, now: float) -> Status:
+        fault = self._fault(now)
+        if fault:
+            return fault
+        missing = self._missing()
+        if missing:
+            return Status(Reason.WAITING, f"waiting for {named(missing)}")
+        if self.is_complete:
+            return Status(Reason.COMPLETE, "no frontier can be reached: the map is complete")
+        if self._phase == self._sense:
+            return Status(Reason.WAITING, "waiting for a scan of this tick")
+        return Status(Reason.EXPLORING, f"exploring, tick {self.tick}")
+
+    def _fault(self, now: float) -> Status | None:
+        settings, pose, scan = self.settings, self.sensors.pose, self.sensors.scan
+        if self._future and now - self._future[0] <= settings.max_pose_age:
+            return Status(Reason.OTHER_CLOCK, f"stamps of another clock: {self._future[1]}")
+        if pose is None:
+            return Status(Reason.NO_POSE, "no pose has arrived yet")
+        if abs(now - pose.stamp) > settings.max_pose_age:
+            return Status(
+                Reason.NO_POSE,
+                f"its pose is {now - pose.stamp:.1f} s old; at most {settings.max_pose_age:g} s",
+            )
+        cell = self.frame.cell(pose.x, pose.y)
+        if not self.frame.inside(cell):
+            return Status(
+                Reason.OUTSIDE, f"its pose ({pose.x:.2f}, {pose.y:.2f}) m is outside the arena"
+            )
+        if scan is None:
+            return Status(Reason.NO_SCAN, "no scan has arrived yet")
+        if abs(now - scan.stamp) > settings.max_scan_age:
+            return Status(
+                Reason.NO_SCAN,
+                f"its scan is {now - scan.stamp:.1f} s old; at most {settings.max_scan_age:g} s",
+            )
+        if self.jumps.is_checking:
+            return Status(Reason.JUMP, str(self.jumps.reports[-1]))
+        return self.wheels.status()
+
+    def _missing(self) -> set[int]:
+        """Robots that it waits for now."""
+        if self._phase == self._begin:
+            return self.clock.waited_for - {self.robot}
+        if self._phase == self._agree:
+            return self._reach - self.mail.intents(self.tick, self._reach).keys() - self._silent
+        if self._phase == self._exchange:
+            partners = self._partners[self.tick]
+            return partners - self.mail.shared(self.tick, partners).keys()
+        if self._phase == self._wait_turn:
+            return {robot for robot in self._ways[self.robot].after if not self._has_arrived(robot)}
+        return set()

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 
-from marl_explore.robot.geometry import Frame, GridCell
+from marl_explore.robot.geometry import Disc, Frame, GridCell
 from marl_explore.robot.messages import Pose, Scan
 
 _KEPT = 64
+
+
+class FutureStampError(ValueError):
+    """Data are stamped in the future: by another clock."""
 
 
 class Sensors:
@@ -54,7 +58,7 @@ class Sensors:
     def _check(self, event: Scan | Pose, now: float) -> None:
         event.check()
         if self._future(event.stamp, now):
-            raise ValueError(
+            raise FutureStampError(
                 f"stamp={event.stamp!r} is not allowed: it is {now:.6g} s, and clocks may "
                 f"differ by {self.max_pose_age:g} s"
             )
@@ -62,7 +66,11 @@ class Sensors:
     @property
     def pose(self) -> Pose | None:
         """The robot's own latest pose."""
-        poses = self._poses.get(self.robot)
+        return self.last(self.robot)
+
+    def last(self, robot: int) -> Pose | None:
+        """A robot's latest pose, however old."""
+        poses = self._poses.get(robot)
         return poses[-1] if poses else None
 
     def fresh(self, now: float) -> bool:
@@ -77,15 +85,33 @@ class Sensors:
 
     def at(self, stamp: float) -> dict[int, Pose]:
         """The poses nearest to a time; robots without a pose that is near enough are left out."""
-        nearest = {
-            robot: min(poses, key=lambda pose: abs(pose.stamp - stamp))
-            for robot, poses in self._poses.items()
-        }
         return {
-            robot: pose
-            for robot, pose in nearest.items()
+            pose.robot: pose
+            for pose in self._nearest(stamp)
             if abs(pose.stamp - stamp) <= self.max_pose_age
         }
+
+    def astray(self, stamp: float, speed: float, patience: float, reach: float) -> list[Disc]:
+        """Where the other robots may be at a time at which their poses are not known.
+
+        Args:
+            stamp: the time (seconds).
+            speed: of a robot, at most (metres per second).
+            patience: robots that have not been heard for longer are left out (seconds).
+            reach: how far a robot can have driven at most (metres).
+        """
+        ages = {pose: abs(pose.stamp - stamp) for pose in self._nearest(stamp)}
+        return [
+            Disc(pose.x, pose.y, min(speed * age, reach))
+            for pose, age in ages.items()
+            if pose.robot != self.robot and 0 < age <= patience
+        ]
+
+    def _nearest(self, stamp: float) -> list[Pose]:
+        """The pose of every robot that is nearest to a time."""
+        return [
+            min(poses, key=lambda pose: abs(pose.stamp - stamp)) for poses in self._poses.values()
+        ]
 
     def others(self) -> list[Pose]:
         """The latest poses of the other robots, however old."""

@@ -1,18 +1,23 @@
-"""Settings of a robot: timeouts, drive and sensor model."""
+"""Settings of a robot: timeouts, drive, sensor model, and how maps are kept."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from marl_explore.config.checks import require_positive
+from marl_explore.config.checks import require_integer, require_not_negative, require_positive
 from marl_explore.config.fields import check_types
 from marl_explore.robot.driving import Drive
+from marl_explore.robot.evidence import EvidenceModel
+from marl_explore.robot.jumps import JumpLimits
 from marl_explore.robot.mapper import BeamModel
+from marl_explore.robot.merging import MergeLimits
+
+_TIMES = ("max_pose_age", "message_patience", "lock_expiry", "move_expiry", "move_patience")
 
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """Timeouts, drive and sensor model; times in seconds."""
+    """Timeouts, drive, sensor model, and how maps are kept; times in seconds."""
 
     max_pose_age: float = 0.5
     """A robot stands still if its pose is older than this."""
@@ -24,15 +29,29 @@ class RobotSettings:
     """How long to wait for a cell that another robot holds before giving up the move."""
     move_expiry: float = 40.0
     """How long a move may take before the robot drives back."""
+    move_patience: float = 5.0
+    """How long a robot may try to drive without moving before it gives up the move."""
+    shut_ticks: int = 20
+    """How long a cell that could not be reached counts as occupied (ticks)."""
     stop_when_complete: bool = True
     """Whether a robot without a reachable frontier makes no more moves."""
+    mate_patience: float = 60.0
+    """How long returns where a robot may be that is not heard are no obstacle."""
+    mate_reach: float = 1.5
+    """How far such a robot can have driven at most (metres)."""
     drive: Drive = field(default_factory=Drive)
     beams: BeamModel = field(default_factory=BeamModel)
+    evidence: EvidenceModel = field(default_factory=EvidenceModel)
+    merging: MergeLimits = field(default_factory=MergeLimits)
+    jumps: JumpLimits = field(default_factory=JumpLimits)
 
     def __post_init__(self) -> None:
         """Check the times."""
         check_types(self)
-        for name in ("max_pose_age", "message_patience", "lock_expiry", "move_expiry"):
+        for name in _TIMES:
             require_positive(name, getattr(self, name), "seconds")
+        require_integer("shut_ticks", self.shut_ticks, 0)
+        require_not_negative("mate_patience", self.mate_patience, "seconds")
+        require_not_negative("mate_reach", self.mate_reach, "metres")
         if not self.max_scan_age > 0:
             raise ValueError(f"max_scan_age={self.max_scan_age!r} is not allowed: it must be > 0 s")

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from marl_explore.config.constants import FREE
 from marl_explore.config.shapes import Ring, Sight, half_widths, rings
 from marl_explore.core import native
+from marl_explore.robot.evidence import Map
 from marl_explore.robot.geometry import GridCell
-from marl_explore.robot.knowledge import Map
 
 Mask = NDArray[np.bool_]
 

@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
-from marl_explore.robot import Envelope, Pose, Scan, decode
+from marl_explore.robot import Envelope, Pose, Scan
 from marl_explore.robot.driving import Velocity
+from marl_explore.robot.explorer import OccupancyMap, Place
 from marl_explore.robot.geometry import Frame
 
 Fields = dict[str, Any]
 PERCENT_OCCUPIED = 100
 """An obstacle in an OccupancyGrid, which holds probabilities in percent; unknown is -1."""
+LEAST_SQUARE, MOST_SQUARE = 1e-6, 1e6
+"""Squares of the lengths of quaternions that were meant to have length 1."""
 
 
 def fill(message: Any, fields: Mapping[str, Any]) -> Any:
@@ -80,23 +83,51 @@ def to_scan(message: Any) -> Scan:
 
 def pose_fields(pose: Pose, frame_id: str) -> Fields:
     """geometry_msgs/PoseStamped; ``frame_id`` names the arena's frame."""
-    turned = {"x": 0.0, "y": 0.0, "z": math.sin(pose.yaw / 2), "w": math.cos(pose.yaw / 2)}
+    place = Place(float(pose.x), float(pose.y), float(pose.yaw))
+    return place_fields(place, pose.stamp, frame_id)
+
+
+def place_fields(place: Place, stamp: float, frame_id: str) -> Fields:
+    """geometry_msgs/PoseStamped of a place in a map."""
+    turned = {"x": 0.0, "y": 0.0, "z": math.sin(place.yaw / 2), "w": math.cos(place.yaw / 2)}
     return {
-        "header": header_fields(pose.stamp, frame_id),
-        "pose": {
-            "position": {"x": float(pose.x), "y": float(pose.y), "z": 0.0},
-            "orientation": turned,
-        },
+        "header": header_fields(stamp, frame_id),
+        "pose": {"position": {"x": place.x, "y": place.y, "z": 0.0}, "orientation": turned},
     }
 
 
 def to_pose(message: Any, robot: int) -> Pose:
-    """The pose of a geometry_msgs/PoseStamped; of its orientation only the yaw is used."""
-    place, turned = message.pose.position, message.pose.orientation
-    yaw = math.atan2(
-        2 * (turned.w * turned.z + turned.x * turned.y), 1 - 2 * (turned.y**2 + turned.z**2)
-    )
-    return Pose(to_seconds(message.header.stamp), robot, float(place.x), float(place.y), yaw)
+    """The pose of a geometry_msgs/PoseStamped; of its orientation only the yaw is used.
+
+    Raises:
+        ValueError: for an orientation that is none.
+    """
+    return Pose(to_seconds(message.header.stamp), robot, *to_place(message))
+
+
+def to_place(message: Any) -> Place:
+    """Where a geometry_msgs/PoseStamped or PoseWithCovarianceStamped says that something is.
+
+    Raises:
+        ValueError: for an orientation that is none.
+    """
+    pose = getattr(message.pose, "pose", message.pose)
+    return Place(float(pose.position.x), float(pose.position.y), yaw_of(pose.orientation))
+
+
+def yaw_of(turned: Any) -> float:
+    """Heading of a geometry_msgs/Quaternion of any length (radians).
+
+    Raises:
+        ValueError: for numbers that are not finite, or are all near 0, as in an empty message.
+    """
+    x, y, z, w = (float(getattr(turned, name)) for name in "xyzw")
+    square = x * x + y * y + z * z + w * w
+    if not MOST_SQUARE > square > LEAST_SQUARE:  # also for NaN
+        raise ValueError(
+            f"orientation={(x, y, z, w)!r} is not allowed: it must be a quaternion of length 1"
+        )
+    return math.atan2(2 * (w * z + x * y), square - 2 * (y * y + z * z))
 
 
 def grid_fields(grid: NDArray[np.int8], frame: Frame, stamp: float, frame_id: str) -> Fields:
@@ -134,10 +165,26 @@ def to_grid(message: Any) -> NDArray[np.int8]:
     return np.where(percent < 0, np.int8(UNKNOWN), codes)[::-1]
 
 
+def to_occupancy_map(message: Any) -> OccupancyMap:
+    """The map of a nav_msgs/OccupancyGrid, of any size, resolution and origin.
+
+    Raises:
+        ValueError: when there are more or fewer data than cells, or the origin's orientation is
+            none.
+    """
+    info, data = message.info, np.array(message.data, np.int8)
+    if data.size != info.height * info.width:
+        raise ValueError(
+            f"data of {data.size} cells are not allowed: the map has {info.height} x {info.width}"
+        )
+    corner = info.origin.position
+    origin = Place(float(corner.x), float(corner.y), yaw_of(info.origin.orientation))
+    return OccupancyMap(data.reshape(info.height, info.width), float(info.resolution), origin)
+
+
 def letter_fields(envelope: Envelope) -> Fields:
-    """std_msgs/UInt8MultiArray: a byte for the sender, then the message's bytes."""
-    data = bytes([envelope.sender]) + envelope.message.encode()
-    return {"data": np.frombuffer(data, np.uint8)}
+    """std_msgs/UInt8MultiArray: the bytes of a message with its sender and a checksum."""
+    return {"data": np.frombuffer(envelope.encode(), np.uint8)}
 
 
 def to_letter(message: Any, receiver: int) -> Envelope:
@@ -146,10 +193,7 @@ def to_letter(message: Any, receiver: int) -> Envelope:
     Raises:
         ValueError: when the data are not such a message.
     """
-    data = bytes(message.data)
-    if not data:
-        raise ValueError("a message without bytes")
-    return Envelope(data[0], (receiver,), decode(data[1:]))
+    return Envelope.decode(bytes(message.data), receiver)
 
 
 def velocity_fields(velocity: Velocity) -> Fields:

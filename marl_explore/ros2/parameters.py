@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_positive
 from marl_explore.robot import BarrierClock, ExportedPolicy, PeriodClock, RobotCore, RobotSettings
+from marl_explore.robot.clock import Clock
+from marl_explore.robot.planners import PLANNERS
 
 Given = TypeVar("Given")
 
@@ -67,7 +70,10 @@ class RobotParameters:
     robot: int = 0
     """The robot's number in the team."""
     policy: str = ""
-    """An exported policy (.npz); it determines arena and ranges, and most also the team's size."""
+    """An exported policy (.npz), which determines arena, ranges and mostly also the team's size;
+    or the name of a planner that runs on robots."""
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+    """Arena and ranges for a planner; the team's size is that of ``team``."""
     team: list[str] = field(default_factory=four_robots)
     """Namespaces of all robots, in the order of their numbers."""
     frame: str = "arena"
@@ -80,6 +86,8 @@ class RobotParameters:
     """How often velocities are sent (per second)."""
     period: float = 0.0
     """Length of a tick by wall-clock time (seconds); 0: a tick begins when all are done."""
+    start: float = 0.0
+    """When the first tick begins if ``period`` is not 0 (seconds of the robots' clocks)."""
     patience: float = 60.0
     """How long to wait for a silent robot if ``period`` is 0 (seconds)."""
     sample: bool = True
@@ -92,20 +100,28 @@ class RobotParameters:
         """The robot.
 
         Raises:
-            ValueError: when the policy is not an exported policy, or is for another team.
+            ValueError: when the policy is neither an exported policy nor a planner, or is for
+                another team.
         """
         require_positive("rate", self.rate, "1/s")
-        if not Path(self.policy).is_file():
-            raise ValueError(f"policy={self.policy!r} is not allowed: it must be an exported .npz")
-        policy = ExportedPolicy(self.policy, self.robot, self.sample, self.seed)
         robots = len(self.team)
+        clock: Clock = BarrierClock(range(robots), self.patience)
+        if self.period:
+            clock = PeriodClock(self.period, self.start)
+        if self.policy in PLANNERS:
+            arena = dataclasses.replace(self.arena, num_agents=robots)
+            planner = PLANNERS[self.policy](self.robot, arena, self.seed)
+            return RobotCore(self.robot, arena, planner, clock, settings=self.settings)
+        if not Path(self.policy).is_file():
+            raise ValueError(
+                f"policy={self.policy!r} is not allowed: it must be an exported .npz or one of "
+                f"{', '.join(PLANNERS)}"
+            )
+        policy = ExportedPolicy(self.policy, self.robot, self.sample, self.seed)
         if robots != policy.arena.num_agents and not policy.any_team:
             raise ValueError(
                 f"team={self.team!r} is not allowed: the policy is for {policy.arena.num_agents} "
                 "robots"
             )
         arena = dataclasses.replace(policy.arena, num_agents=robots)
-        clock = (
-            PeriodClock(self.period) if self.period else BarrierClock(range(robots), self.patience)
-        )
         return RobotCore(self.robot, arena, policy, clock, policy.fpr, self.settings)

@@ -34,7 +34,7 @@ class RobotNode(ParameterNode[RobotParameters]):
     def __init__(self, dry_run: bool = False) -> None:
         super().__init__("robot_node", RobotParameters())
         self.core = self.given.make_core()
-        self._known = 0
+        self._published = 0
         team, own = self.given.team, self.given.team[self.given.robot]
         for robot, name in enumerate(team):
             take = partial(self._take_pose, robot)
@@ -100,9 +100,9 @@ class RobotNode(ParameterNode[RobotParameters]):
         self._send_velocity(output.velocity, now)
 
     def _send_map(self, now: float) -> None:
-        if self.core.knowledge.known == self._known:
+        if self.core.knowledge.changes == self._published:
             return
-        self._known = self.core.knowledge.known
+        self._published = self.core.knowledge.changes
         fields = convert.grid_fields(
             self.core.knowledge.map, self.core.frame, now, self.given.frame
         )

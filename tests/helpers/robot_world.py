@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from marl_explore.robot import BarrierClock, Pose, RobotCore, RobotSettings, Scan
-from marl_explore.robot.geometry import Frame
+from marl_explore.robot.geometry import Frame, Mount
 
 RADIUS = 0.105
 RAYS = 360
@@ -39,19 +39,41 @@ def cast(obstacles, frame, x, y, angle, longest=RANGE):
     return 0.0
 
 
-def scan_of(obstacles, frame, pose, others=(), stamp=None):
-    """A perfect scan of boxes and of other robots, which are discs; inf is no return."""
-    angles = pose.yaw + 2 * math.pi / RAYS * np.arange(RAYS)
-    ranges = np.array([cast(obstacles, frame, pose.x, pose.y, angle) for angle in angles])
-    for other in others:
-        east, north = other.x - pose.x, other.y - pose.y
-        along = east * np.cos(angles) + north * np.sin(angles)
-        inside = RADIUS**2 - (east**2 + north**2 - along**2)
-        hit = along - np.sqrt(np.maximum(inside, 0))
-        seen = (inside > 0) & (hit > 0) & (hit < RANGE) & ((ranges == 0) | (hit < ranges))
-        ranges = np.where(seen, hit, ranges)
+def scan_of(obstacles, frame, pose, others=(), stamp=None, poles=(), walls=(), mount=None):
+    """A perfect scan of boxes and of other robots, which are discs; inf is no return.
+
+    Poles are discs (x, y, radius) and walls lines ((x, y), (x, y)), in metres. The lidar is at
+    ``mount``, and the scan does not say so.
+    """
+    eye = pose.of_sensor(mount or Mount())
+    angles = eye.yaw + 2 * math.pi / RAYS * np.arange(RAYS)
+    ranges = np.array([cast(obstacles, frame, eye.x, eye.y, angle) for angle in angles])
     ranges[ranges == 0] = math.inf
+    for x, y, radius in (*poles, *((other.x, other.y, RADIUS) for other in others)):
+        ranges = np.minimum(ranges, to_disc(angles, x - eye.x, y - eye.y, radius))
+    for (x0, y0), (x1, y1) in walls:
+        ends = (x0 - eye.x, y0 - eye.y), (x1 - eye.x, y1 - eye.y)
+        ranges = np.minimum(ranges, to_wall(angles, *ends))
+    ranges[ranges >= RANGE] = math.inf
     return Scan(pose.stamp if stamp is None else stamp, ranges)
+
+
+def to_disc(angles, east, north, radius):
+    """Distances along beams to a disc, inf for none."""
+    along = east * np.cos(angles) + north * np.sin(angles)
+    inside = radius**2 - (east**2 + north**2 - along**2)
+    hit = along - np.sqrt(np.maximum(inside, 0))
+    return np.where((inside > 0) & (hit > 0), hit, math.inf)
+
+
+def to_wall(angles, start, end):
+    """Distances along beams to a line from start to end, inf for none."""
+    (x, y), (along_x, along_y) = start, np.subtract(end, start)
+    across = np.cos(angles) * along_y - np.sin(angles) * along_x
+    across = np.where(np.abs(across) < 1e-12, 1e-12, across)
+    distance = (x * along_y - y * along_x) / across
+    share = (x * np.sin(angles) - y * np.cos(angles)) / across
+    return np.where((distance > 0) & (share >= 0) & (share <= 1), distance, math.inf)
 
 
 class World:
@@ -96,16 +118,28 @@ class World:
         self.now += self.STEP
         self.poses = [Pose(self.now, p.robot, p.x, p.y, p.yaw) for p in self.poses]
         for core in self.alive():
-            for pose in self.poses:
-                core.receive(pose, self.now)
+            self.give_poses(core)
         outputs = self._until_quiet()
         for core in self.alive():
             if core.is_sensing:
-                core.receive(self._scan(core.robot), self.now)
+                self.give(core, self._scan(core.robot))
         outputs |= self._until_quiet()
         for robot, output in outputs.items():
             self.poses[robot] = self._moved(self.poses[robot], *output.velocity)
         self._measure()
+
+    def give(self, core, event):
+        """Hand a measurement to a robot."""
+        core.receive(event, self.now)
+
+    def give_poses(self, core):
+        """Hand the poses of all robots to a robot."""
+        for pose in self.poses:
+            self.give(core, pose)
+
+    def advance(self, core):
+        """A robot's output now."""
+        return core.advance(self.now)
 
     def run(self, ticks, most_steps=20_000):
         """Until every robot alive has sensed tick ``ticks``."""
@@ -125,7 +159,7 @@ class World:
         while not quiet:
             quiet = True
             for core in self.alive():
-                outputs[core.robot] = output = core.advance(self.now)
+                outputs[core.robot] = output = self.advance(core)
                 for envelope in output.messages:
                     quiet = False
                     self._deliver(envelope)

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, decode
+from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotSettings, decode
 from marl_explore.robot.driving import ZERO, Drive
+from marl_explore.robot.evidence import Evidence, EvidenceModel
 from marl_explore.robot.geometry import Frame, wrapped
-from marl_explore.robot.knowledge import Knowledge, union
+from marl_explore.robot.knowledge import Knowledge
 from marl_explore.robot.mailbox import Mailbox
 from marl_explore.robot.mapper import BeamModel
 from marl_explore.robot.messages import Done, Intent, Share
 from marl_explore.robot.observation import in_range
+from marl_explore.robot.sensors import Sensors
 from tests.helpers.boards import map_cells
 from tests.helpers.strategies import repeatable
 
+MODEL = EvidenceModel()
 GAINS = ("max_forward", "max_turn", "arrival", "heading_tolerance", "forward_gain", "turn_gain")
 
 # ---------------------------------------------------------------- geometry
@@ -59,23 +61,14 @@ def test_ranges_have_the_tolerance_of_the_rules():
 @pytest.mark.parametrize(
     ("message", "size"),
     [
-        (Intent(3, 70_000, (-1, 500), 9, True, False), 12),
-        (Intent(0, 0, (0, 0), 1, False, True), 12),
-        (Done(2, 9), 6),
+        (Intent(3, 70_000, (-1, 500), 9, True, False), 16),
+        (Intent(0, 0, (0, 0), 1, False, True), 16),
+        (Done(2, 2**40), 10),
     ],
 )
 def test_messages_come_back_from_their_bytes(message, size):
     assert decode(message.encode()) == message
     assert len(message.encode()) == size
-
-
-def test_a_map_comes_back_from_its_bytes():
-    grid = map_cells("?.#.?\n..##?\n#?..#").numpy()
-    data = Share(1, 5, grid).encode()
-    assert len(data) == 10 + math.ceil(15 / 4)
-    share = decode(data)
-    assert (share.robot, share.tick) == (1, 5)
-    assert np.array_equal(share.map, grid)
 
 
 @pytest.mark.parametrize("data", [b"", b"\x09abc", b"\x01\x00", b"\x02" + bytes(9)[:-1]])
@@ -84,26 +77,9 @@ def test_other_bytes_are_refused(data):
         decode(data)
 
 
-HEAD = struct.Struct("<BBIHH")
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (Share(1, 5, np.zeros((3, 3), np.int8)).encode()[:-1], "3 x 3 cells has 13 bytes, not 12"),
-        (Share(1, 5, np.zeros((3, 3), np.int8)).encode() + b"\0", "has 13 bytes, not 14"),
-        (HEAD.pack(2, 1, 5, 65535, 65535), "65535 x 65535 cells has 1073709067 bytes, not 10"),
-        (HEAD.pack(2, 1, 5, 1, 1) + b"\xff", "cells are unknown, free or occupied"),
-    ],
-)
-def test_broken_maps_are_refused_before_they_are_unpacked(data, message):
-    with pytest.raises(ValueError, match=f"broken message Share: .*{message}"):
-        decode(data)
-
-
 def test_a_map_is_passed_on_once_and_counted():
     mail = Mailbox(0)
-    share = Share(2, 4, np.zeros((12, 12), np.int8))
+    share = Share(2, 4, Evidence.none(12, 12))
     mail.receive(Envelope(1, (0,), share))
     mail.receive(Envelope(3, (0,), share))
     for _ in range(2):
@@ -111,32 +87,41 @@ def test_a_map_is_passed_on_once_and_counted():
     (envelope,) = mail.collect()
     assert (envelope.sender, envelope.to, envelope.message) == (0, (3,), share)
     assert mail.sent == {"share": 1}
-    assert mail.sent_bytes == {"share": 46}
+    assert mail.sent_bytes == {"share": len(envelope.encode())}
     assert mail.shared(4, {5}) == {}  # from nobody it talks to
-    assert mail.take_shared(4, {1}).keys() == {2}
-    assert mail.take_shared(4, {1}) == {}
+    assert mail.take_new() == {2: share.evidence}
+    assert mail.take_new() == {}
+
+
+# ---------------------------------------------------------------- sensors
+
+
+def test_robots_can_have_driven_since_they_were_heard_as_far_as_wheels_take_them():
+    sensors = Sensors(0, max_pose_age=0.5, max_scan_age=1.0)
+    for robot, stamp in ((0, 1.0), (1, 9.0), (2, 5.0), (3, 4.0), (4, 10.0)):
+        sensors.add_pose(Pose(stamp, robot, float(robot), -1.0, 0.0), stamp)
+    discs = sensors.astray(10.0, speed=0.25, patience=5.0, reach=1.0)
+    assert discs == [(1.0, -1.0, 0.25), (2.0, -1.0, 1.0)]
+    assert sensors.at(10.0).keys() == {4}
 
 
 # ---------------------------------------------------------------- knowledge
 
 
-def test_maps_only_grow_and_bookkeeping_follows_the_rules():
+def test_bookkeeping_follows_the_rules():
     knowledge = Knowledge(0, 3, Frame(3, 3, 0.5))
     corner = map_cells("???\n?..\n?#.").numpy()
-    assert knowledge.sense((0, 0), corner) == 4
+    assert knowledge.sense((0, 0), corner, tick=0) == 4
     assert knowledge.unshared.tolist() == [0, 4, 4]
     assert knowledge.steps_since_merge.tolist() == [0, 1_000_000, 1_000_000]
     other = map_cells("#..\n...\n...").numpy()
-    assert knowledge.merge({2: other}) == 5
+    assert knowledge.merge({2: Evidence.none(3, 3).looked(other, 0, MODEL, (2, 2))}, tick=1) == 5
     assert np.array_equal(knowledge.map, map_cells("...\n#..\n...").numpy())
     assert knowledge.unshared.tolist() == [0, 4, 0]
-    assert knowledge.sense((1, 1), map_cells("###\n###\n###").numpy()) == 0
+    assert knowledge.sense((1, 1), map_cells("...\n#..\n...").numpy(), tick=1) == 0
     assert knowledge.steps_since_merge.tolist() == [0, 1_000_000, 1]
-
-
-def test_the_union_of_maps():
-    maps = [map_cells(board).numpy() for board in ("?.?", "??#", "#.?")]
-    assert union(maps).tolist() == [[1, 0, 1]]
+    knowledge.pass_time()
+    assert knowledge.steps_since_merge.tolist() == [0, 1_000_000, 2]
 
 
 # ---------------------------------------------------------------- driving
@@ -166,11 +151,15 @@ def test_a_robot_ahead_is_waited_for_and_one_behind_is_not():
         (Drive, "clearance", math.nan, "a number, not NaN"),
         (BeamModel, "votes", 0, "integer of at least 1"),
         (BeamModel, "votes", 2.5, "an integer"),
-        (BeamModel, "entry_tolerance", 0.0, "positive finite"),
+        (BeamModel, "tolerance", 0.0, "positive finite"),
         (BeamModel, "margin", -0.01, "at least 0"),
         (BeamModel, "robot_radius", math.nan, "a number, not NaN"),
-        (BeamModel, "lidar_ahead", math.nan, "a number, not NaN"),
-        (BeamModel, "lidar_ahead", math.inf, "a finite number of metres"),
+        (BeamModel, "zero_is_no_return", 1, "true or false"),
+        (BeamModel, "lidar_x", math.nan, "a number, not NaN"),
+        (BeamModel, "lidar_y", math.inf, "a finite number of metres"),
+        (BeamModel, "lidar_yaw", -math.inf, "a finite number of radians"),
+        (RobotSettings, "mate_patience", -1.0, "at least 0 seconds"),
+        (RobotSettings, "mate_reach", math.inf, "at least 0 metres, and finite"),
     ],
 )
 def test_settings_that_are_none_are_refused(kind, name, value, allowed):
@@ -180,7 +169,7 @@ def test_settings_that_are_none_are_refused(kind, name, value, allowed):
 
 def test_settings_at_their_bounds_are_taken():
     assert Drive(clearance=0.0).clearance == 0
-    assert BeamModel(margin=0.0, robot_radius=0.0, votes=1, lidar_ahead=-0.064).votes == 1
+    assert BeamModel(margin=0.0, robot_radius=0.0, votes=1, lidar_x=-0.064).votes == 1
 
 
 # ---------------------------------------------------------------- clocks

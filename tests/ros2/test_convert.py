@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from marl_explore.robot import Envelope, Pose, Scan
 from marl_explore.robot.driving import Velocity
+from marl_explore.robot.evidence import Evidence
 from marl_explore.robot.geometry import Frame
 from marl_explore.robot.messages import Done, Share
 from marl_explore.ros2 import convert
@@ -113,12 +114,14 @@ def test_other_probabilities_are_occupied_from_a_half_on():
 
 
 def test_a_letter_comes_back_with_its_sender():
-    share = Share(1, 9, np.array([[1, 0, -1]], np.int8))
+    known = Evidence(np.array([[2, -1, 0]], np.int8), np.array([[9, 5, -1]]))
+    share = Share(1, 9, known)
     fields = convert.letter_fields(Envelope(3, (0, 2), share))
-    assert len(fields["data"]) == 1 + len(share.encode())
+    assert len(fields["data"]) == 5 + len(share.encode())
     back = convert.to_letter(message(fields), 2)
     assert (back.sender, back.to, back.message.robot, back.message.tick) == (3, (2,), 1, 9)
-    assert np.array_equal(back.message.map, share.map)
+    assert back.message.map.tolist() == [[1, 0, -1]]
+    assert np.array_equal(back.message.evidence.rank, known.rank)
 
 
 @pytest.mark.parametrize(

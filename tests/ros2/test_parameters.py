@@ -51,6 +51,10 @@ def test_nested_fields_have_full_names():
             {"settings.drive.max_foward": 0.1},
             "'settings.drive.max_foward' is not allowed: .*max_forward",
         ),
+        (
+            {"settings.beams.lidar_ahead": 0.1},
+            "'settings.beams.lidar_ahead' is not allowed: .*settings.beams.lidar_x",
+        ),
         ({"rate": "fast"}, "rate='fast' is not allowed: it must be of type float"),
         ({"robot": 1.0}, "robot=1.0 is not allowed: it must be of type int"),
         ({"robot": True}, "robot=True is not allowed: it must be of type int"),

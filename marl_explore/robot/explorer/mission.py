@@ -1,0 +1,199 @@
+"""From goal to goal, past those that cannot be reached, and back to the start."""
+
+from __future__ import annotations
+
+import math
+
+from marl_explore.robot.explorer.choice import price
+from marl_explore.robot.explorer.frontiers import Candidate, candidates, long_clusters
+from marl_explore.robot.explorer.places import Place, Point
+from marl_explore.robot.explorer.progress import Attempt
+from marl_explore.robot.explorer.settings import ExplorerSettings
+from marl_explore.robot.explorer.skips import TRIES, Counts, SkipList
+from marl_explore.robot.explorer.status import State
+from marl_explore.robot.explorer.view import View
+from marl_explore.robot.geometry import GridCell
+
+ASK_NAV2 = "is Nav2 active, and does it hear the goals?"
+MOVED = 0.3
+"""A robot that has come so far from its start can move (metres)."""
+
+
+class Mission:
+    """What a robot does with what it sees; times are lived ones, in seconds.
+
+    Args:
+        name: of the robot in its team.
+        settings: distances and patience.
+        start: where it returns to.
+    """
+
+    def __init__(self, name: str, settings: ExplorerSettings, start: Place) -> None:
+        self.name, self.settings, self.start = name, settings, start
+        self.skips = SkipList()
+        self.attempt: Attempt | None = None
+        """The goal to which the robot is sent."""
+        self.plan: list[Point] = []
+        """The way to it when it was chosen."""
+        self.reached = 0
+        """Goals that were reached."""
+        self.state: State = "exploring"
+        self.sentence = ""
+        self._visited: Point | None = None
+        self._next_map, self._waits_until = 0, -math.inf
+        self._empty_since: float | None = None
+        self._is_home = self._can_move = self._failed = False
+        self._returns = 0
+        self._place, self._time = start, 0.0
+
+    # ------------------------------------------------------------ on the way
+
+    def follow(self, view: View, place: Place, maps: int, time: float) -> Place | None:
+        """Judge how it goes, after ``maps`` own maps; the goal, if it should be sent again."""
+        self._can_move |= place.distance(self.start) > MOVED
+        if self.attempt is None:
+            return None
+        near = 2 * self.settings.arrival
+        left = place.distance(self.attempt.goal)
+        if left <= near and not view.is_linked(place, self.attempt.goal, 2 * near):
+            left = math.inf  # behind a wall
+        verdict = self.attempt.judge(place, left, time)
+        if verdict == "going":
+            return self.attempt.goal if self.attempt.send_again(time) else None
+        attempt, self.attempt = self.attempt, None
+        if attempt.faces is None:
+            self._is_home, self._returns = verdict == "arrived", self._returns + 1
+        elif verdict != "arrived":
+            self._failed = True
+            self.skips.add(attempt.faces, self.settings.goal_radius, verdict, view.grid)
+        elif attempt.final:
+            self.reached += 1
+            self._visited = attempt.faces
+            self._next_map, self._waits_until = maps + 1, time + self.settings.map_patience
+            self.sentence = "at a frontier, waiting for the next map"
+        return None
+
+    def is_waiting(self, maps: int, time: float) -> bool:
+        """Whether to wait for the first map after an arrival before anything is decided."""
+        return maps < self._next_map and time < self._waits_until
+
+    # ------------------------------------------------------------ where to go next
+
+    def decide(self, view: View, place: Place, time: float) -> Place | None:
+        """Choose what to do; the goal, if it is a new one."""
+        self._place, self._time = place, time
+        self.skips.renew(view.grid)
+        self._leave_visited(view)
+        options = self._options(view, 1) or self._options(view, TRIES)
+        if not options:
+            return self._finish(view)
+        self._empty_since, self._is_home, self._returns = None, False, 0
+        return self._go(min(options, key=lambda option: self._price(option, view)), view)
+
+    def _options(self, view: View, tries: int) -> list[Candidate]:
+        """Goals that were tried less often than that; 0: all."""
+        settings, found = self.settings, view.frontiers
+        if tries:
+            cells = view.border & ~self.skips.covered(view.grid, tries)
+            found = tuple(long_clusters(cells, view.grid.side, settings.min_frontier)[0])
+        return candidates(view.grid, view.lengths, found, settings.goal_radius, settings.view)
+
+    def _leave_visited(self, view: View) -> None:
+        """Skip frontiers that have stayed although the robot has been there."""
+        if self._visited is None:
+            return
+        points = [
+            view.grid.middle(option.faces)
+            for option in self._options(view, 0)
+            if option.way <= self.settings.arrival
+        ]
+        if view.grid.is_in(self._visited, view.border):
+            points.append(self._visited)
+        self.skips.add_in_vain(points, self.settings.arrival, view.grid)
+        self._visited = None
+
+    def _price(self, option: Candidate, view: View) -> float:
+        total = price(option, view.grid, view.rivals, self.name, self.settings)
+        return total - self.settings.keep * self._is_chosen(option, view)
+
+    def _is_chosen(self, option: Candidate, view: View) -> bool:
+        """Whether the robot is on its way there."""
+        if self.attempt is None or self.attempt.faces is None:
+            return False
+        faces = Place(*view.grid.middle(option.faces))
+        return faces.distance(self.attempt.faces) <= self.settings.goal_radius
+
+    def _go(self, best: Candidate, view: View) -> Place | None:
+        """Send the robot to a frontier, or on the way there to the last place that its map knows.
+
+        Nav2 refuses goals outside its map, which is the own one.
+        """
+        cells = view.path(best.cell)
+        known = next((i for i, c in enumerate(cells) if not view.is_own(c)), len(cells))
+        last = cells[max(known - 1, 0)]
+        is_near = self._place.distance(view.grid.middle(last)) <= 1.5 * self.settings.arrival
+        final = is_near or last == best.cell
+        faces = view.grid.middle(best.faces)
+        x, y = view.spot(best.cell if final else last)
+        ahead = faces if final else view.grid.middle(cells[known])
+        goal = Place(x, y, math.atan2(ahead[1] - y, ahead[0] - x))
+        if self._failed and not self._can_move:
+            self.state, self.sentence = "stuck", f"the robot has not moved yet: {ASK_NAV2}"
+        else:
+            self.state, self.sentence = "exploring", f"to a frontier at ({x:.2f}, {y:.2f})"
+        if self.attempt is not None and self._is_chosen(best, view):
+            longer = goal.distance(self.attempt.goal) > self.settings.arrival
+            if self.attempt.final or not longer:
+                return None
+        return self._send(goal, faces, final, cells, view)
+
+    def _send(
+        self, goal: Place, faces: Point | None, final: bool, cells: list[GridCell], view: View
+    ) -> Place:
+        way = view.length(cells[-1])
+        self.attempt = Attempt(goal, faces, final, way, self._place, self._time, self.settings)
+        self.plan = [view.grid.middle(cell) for cell in cells]
+        return goal
+
+    # ------------------------------------------------------------ when no frontier is left
+
+    def _finish(self, view: View) -> Place | None:
+        """Wait for a while, return to the start, and say what is left."""
+        if self.attempt is not None and self.attempt.faces is not None:
+            self.attempt = None
+        left = self.skips.count(view.grid, view.border)
+        if left.given_up and not self._can_move:  # the goals may be fine: begin anew
+            self.skips.entries.clear()
+            return None
+        if self._empty_since is None:
+            self._empty_since = self._time
+        lasted, settle = self._time - self._empty_since, self.settings.settle
+        if lasted < settle:
+            self.state = "exploring"
+            self.sentence = f"no frontier is left for {lasted:.0f} of {settle:g} s"
+            return None
+        self.state = "stuck" if left.given_up else "complete"
+        self.sentence = self._what_is_left(left)
+        return self._return(view) if self.settings.return_to_start else None
+
+    def _what_is_left(self, left: Counts) -> str:
+        if left.given_up:
+            tried = "; ".join(self.skips.given_up())
+            return f"{left.given_up} frontiers could not be reached in {TRIES} tries: {tried}"
+        return "no frontier is left" + (
+            f", but {left.exhausted} that stayed when the robot was there" * (left.exhausted > 0)
+        )
+
+    def _return(self, view: View) -> Place | None:
+        """Return to the start, if that is possible."""
+        if self._is_home or self._place.distance(self.start) <= self.settings.arrival:
+            self._is_home = True
+            return None
+        cell = view.nearest_reached(self.start)
+        if cell is None or self._returns >= TRIES:
+            self.sentence += "; the robot cannot return to its start"
+            return None
+        self.state, self.sentence = "returning", f"{self.sentence}; returning to the start"
+        if self.attempt is not None:
+            return None
+        return self._send(self.start, None, True, view.path(cell), view)

@@ -1,0 +1,97 @@
+"""Places in the frame of a map, where robots have been, and time that does not jump."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from marl_explore.config.checks import require
+from marl_explore.robot.geometry import wrapped
+
+Point = tuple[float, float]
+"""(x, y) in metres."""
+
+
+class Place(NamedTuple):
+    """Where something is in the frame of a map, and where it looks."""
+
+    x: float
+    """Metres."""
+    y: float
+    """Metres."""
+    yaw: float = 0.0
+    """Counter-clockwise from the x axis (radians)."""
+
+    def check(self) -> None:
+        """Raise an error for numbers that are not finite.
+
+        Raises:
+            ValueError: naming the field and its value.
+        """
+        for name, value in self._asdict().items():
+            require(math.isfinite(value), name, value, "it must be a finite number")
+
+    def distance(self, point: Point | Place) -> float:
+        """Distance to a point (metres)."""
+        return math.hypot(point[0] - self.x, point[1] - self.y)
+
+    def then(self, inner: Place) -> Place:
+        """A place that is given in this one's frame, in the frame in which this one is given."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        x, y = self.x + cos * inner.x - sin * inner.y, self.y + sin * inner.x + cos * inner.y
+        return Place(x, y, wrapped(self.yaw + inner.yaw))
+
+    def relative(self, other: Place) -> Place:
+        """The reverse of ``then``: another place of the same frame, in this one's frame."""
+        return Place(*self.within((other.x, other.y)), wrapped(other.yaw - self.yaw))
+
+    def within(self, point: Point) -> Point:
+        """The reverse of ``then`` for a point: where it is in this one's frame."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        x, y = point[0] - self.x, point[1] - self.y
+        return cos * x + sin * y, cos * y - sin * x
+
+
+class Trail:
+    """Where a robot has been in the last seconds.
+
+    Args:
+        spacing: distance between points (metres).
+        kept: how long a point is kept (seconds).
+    """
+
+    def __init__(self, spacing: float, kept: float) -> None:
+        self.spacing, self.kept = spacing, kept
+        self._points: deque[tuple[float, Place]] = deque()
+
+    def add(self, place: Place, time: float) -> None:
+        """Note where the robot is at a time (seconds)."""
+        if not self._points or place.distance(self._points[-1][1]) >= self.spacing:
+            self._points.append((time, place))
+        self._points[-1] = (time, self._points[-1][1])
+
+    def points(self, time: float) -> list[Point]:
+        """The points that are not too old at a time (seconds)."""
+        while self._points and time - self._points[0][0] > self.kept:
+            self._points.popleft()
+        return [(place.x, place.y) for _, place in self._points]
+
+
+class LivedTime:
+    """Seconds that a robot has lived through: clocks may be set, and simulations may pause or jump.
+
+    Args:
+        longest: a longer step of the clock counts as this long (seconds).
+    """
+
+    def __init__(self, longest: float = 2.0) -> None:
+        self.longest, self.seconds = longest, 0.0
+        self._now: float | None = None
+
+    def pass_to(self, now: float) -> float:
+        """Lived time when the clock shows ``now`` (seconds)."""
+        if self._now is not None:
+            self.seconds += min(max(now - self._now, 0.0), self.longest)
+        self._now = now
+        return self.seconds

@@ -1,0 +1,154 @@
+"""What an explorer sees when it looks at all maps: one coarse grid, ways, frontiers, rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from marl_explore.config.constants import FREE
+from marl_explore.robot.explorer.choice import Rival
+from marl_explore.robot.explorer.frontiers import Cluster, border, cells_of, long_clusters
+from marl_explore.robot.explorer.grids import CoarseGrid, CoarseMap, Mask, OccupancyMap, union
+from marl_explore.robot.explorer.merging import fit
+from marl_explore.robot.explorer.places import Place, Point
+from marl_explore.robot.explorer.settings import ExplorerSettings
+from marl_explore.robot.explorer.team import Mate, Team
+from marl_explore.robot.explorer.wavefront import NO_WAY, Lengths, path, ways
+from marl_explore.robot.geometry import GridCell
+
+STANDING = 3.0
+"""A robot is at the nearest place into which it fits, at most so many radii away."""
+
+
+class View(NamedTuple):
+    """All maps at one moment."""
+
+    grid: CoarseGrid
+    """Their union; the own map counts where they contradict."""
+    layers: tuple[CoarseMap, ...]
+    """The own map, then the teammates' whose maps fit, the last heard first."""
+    start: GridCell
+    """Where the robot is."""
+    lengths: Lengths
+    """Of ways from there."""
+    frontiers: tuple[Cluster, ...]
+    """Unknown cells beside cells that it reaches, in clusters that are long enough."""
+    border: Mask
+    """The cells of these clusters."""
+    small: int
+    """Clusters that are too short."""
+    unreachable: int
+    """Clusters that are long enough, but beside cells that it does not reach."""
+    near: float
+    """How far from a place the cell may be in which something stands (metres)."""
+    rivals: tuple[Rival, ...]
+    """Teammates that are heard."""
+
+    @property
+    def free(self) -> Mask:
+        """Cells into which the robot fits."""
+        return self.grid.codes == FREE
+
+    def length(self, cell: GridCell) -> float:
+        """Length of the way to a reached cell (metres)."""
+        return float(self.lengths[cell]) * self.grid.side / 2
+
+    def nearest_reached(self, point: Point | Place) -> GridCell | None:
+        """The reached cell nearest to a point, if it is near."""
+        return _nearest(self.grid, self.lengths != NO_WAY, point, self.near)
+
+    def is_linked(self, place: Place, point: Point | Place, most: float) -> bool:
+        """Whether a way from one place to another is at most so long (metres)."""
+        start, end = (_nearest(self.grid, self.free, where, self.near) for where in (place, point))
+        if start is None or end is None:
+            return False
+        return bool(ways(self.free, start, round(2 * most / self.grid.side))[end] != NO_WAY)
+
+    def path(self, cell: GridCell) -> list[GridCell]:
+        """The cells of the way to a reached cell."""
+        return path(self.lengths, cell)
+
+    def spot(self, cell: GridCell) -> Point:
+        """Where in a free cell the robot fits best."""
+        for layer in self.layers:
+            inside = self._cell_of(layer.grid, cell)
+            if layer.grid.code(inside) == FREE:
+                return layer.spot(inside)
+        return self.grid.middle(cell)
+
+    def is_own(self, cell: GridCell) -> bool:
+        """Whether a cell is free in the own map."""
+        own = self.layers[0].grid
+        return own.code(self._cell_of(own, cell)) == FREE
+
+    def _cell_of(self, other: CoarseGrid, cell: GridCell) -> GridCell:
+        """A cell of the union in another part of the lattice."""
+        up, side = (self.grid.first[axis] - other.first[axis] for axis in (0, 1))
+        return cell[0] + up, cell[1] + side
+
+
+def look(
+    own: OccupancyMap, place: Place, team: Team, time: float, settings: ExplorerSettings
+) -> View | None:
+    """Put all maps together, and note at every teammate how its map fits.
+
+    Returns:
+        None when the robot is not near any place of its own map into which it fits.
+    """
+    size, body = settings.radius, settings.body_radius
+    mine = CoarseMap(own, size, team.bodies(team.own, time, settings), body)
+    start = mine.standing(place, STANDING * size)
+    if start is None:
+        return None
+    layers = [mine]
+    mates = sorted(team.mates.values(), key=lambda mate: -(mate.heard or 0.0))
+    for mate in mates:
+        if mate.map is None:
+            continue
+        layer = CoarseMap(mate.map, size, team.bodies(mate.name, time, settings), body)
+        mate.fit = fit(mine.grid, layer.grid)
+        mate.refused = mate.fit.contradicts(settings.most_conflicts)
+        if not (mate.refused or mate.fit.is_little):
+            layers.append(layer)
+    grid = union(layer.grid for layer in layers)
+    start = grid.cell(mine.grid.middle(start))
+    free = grid.codes == FREE
+    lengths = ways(free, start)
+    reached = border(grid.codes, lengths != NO_WAY)
+    frontiers, small = long_clusters(reached, grid.side, settings.min_frontier)
+    beyond = border(grid.codes, free & (lengths == NO_WAY)) & ~reached
+    return View(
+        grid=grid,
+        layers=tuple(layers),
+        start=start,
+        lengths=lengths,
+        frontiers=tuple(frontiers),
+        border=cells_of(frontiers, free.shape),
+        small=small,
+        unreachable=len(long_clusters(beyond, grid.side, settings.min_frontier)[0]),
+        near=STANDING * size,
+        rivals=tuple(_rivals(mates, grid, free, time, settings)),
+    )
+
+
+def _rivals(
+    mates: Sequence[Mate], grid: CoarseGrid, free: Mask, time: float, settings: ExplorerSettings
+) -> list[Rival]:
+    """Teammates that are heard and stand on the map."""
+    rivals = []
+    for mate in mates:
+        if mate.place is None or not mate.counts(time, settings):
+            continue
+        cell = _nearest(grid, free, mate.place, STANDING * settings.radius)
+        if cell is not None:
+            rivals.append(Rival(mate.name, ways(free, cell), mate.goal))
+    return rivals
+
+
+def _nearest(grid: CoarseGrid, cells: Mask, point: Point | Place, reach: float) -> GridCell | None:
+    """The nearest of some cells, if it is within a reach (metres)."""
+    distances = np.where(cells, grid.distances(point), np.inf)
+    nearest = divmod(int(distances.argmin()), cells.shape[1])
+    return nearest if distances[nearest] <= reach else None

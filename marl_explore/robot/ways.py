@@ -1,0 +1,56 @@
+"""Room for others: where a robot that has nothing left to explore does not stand in the way."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_explore.config.constants import COMPASS, FREE, NUM_DIRECTIONS, OCCUPIED, STAY
+from marl_explore.robot.geometry import GridCell
+from marl_explore.robot.paths import paths_to
+
+_AROUND = np.array(COMPASS)
+
+
+def is_only_way(grid: NDArray[np.int8], cell: GridCell) -> bool:
+    """Whether a cell is the only way between cells around it.
+
+    Its free neighbours then fall apart into several groups, between which no move of a robot leads
+    that does not use the cell.
+
+    Args:
+        grid: a map, int8 [H, W].
+        cell: a free cell of it.
+    """
+    padded = np.pad(grid, 1, constant_values=OCCUPIED)
+    rows, columns = (_AROUND + cell + 1).T
+    free = (padded[rows, columns] == FREE).tolist()
+    beside = [number for number in range(0, NUM_DIRECTIONS, 2) if free[number]]
+    # robots drive diagonals past a free corner: the one between two cells beside joins them
+    joined = sum(free[number + 1] and free[(number + 2) % NUM_DIRECTIONS] for number in beside)
+    return len(beside) - joined > 1
+
+
+def step_aside(grid: NDArray[np.int8], cell: GridCell, held: Collection[GridCell]) -> int:
+    """The first move to the nearest cell that is nobody's only way, or STAY if there is none.
+
+    Args:
+        grid: a map, int8 [H, W].
+        cell: where the robot is.
+        held: cells of other robots.
+    """
+    if not is_only_way(grid, cell):
+        return STAY
+    around = grid.copy()
+    for place in held:
+        around[place] = OCCUPIED
+    free = around == FREE
+    moves, lengths = paths_to(around, free, cell)
+    order = np.argsort(lengths, kind="stable")
+    places = np.argwhere(free)[order]
+    for place, move, length in zip(places.tolist(), moves[order], lengths[order], strict=True):
+        if length and not is_only_way(grid, tuple(place)):
+            return int(move)
+    return STAY
