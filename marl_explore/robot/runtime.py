@@ -17,6 +17,7 @@ from marl_explore.robot.agreement import Way, agree, target
 from marl_explore.robot.clock import Clock
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Disc, Frame, GridCell
+from marl_explore.robot.goals import uses_kernel
 from marl_explore.robot.guard import Guard
 from marl_explore.robot.jumps import JumpGuard
 from marl_explore.robot.knowledge import Knowledge
@@ -35,7 +36,7 @@ from marl_explore.robot.observation import Observation, complete, in_reach, obse
 from marl_explore.robot.policy import ExportedPolicy
 from marl_explore.robot.sensors import FutureStampError, Sensors
 from marl_explore.robot.settings import RobotSettings
-from marl_explore.robot.status import Reason, Status, named
+from marl_explore.robot.status import Reason, Status, status_of
 from marl_explore.robot.ways import step_aside
 from marl_explore.robot.wheels import Wheels
 
@@ -120,7 +121,8 @@ class RobotCore:
         self._legs: list[GridCell] = []
         self._passed: list[GridCell] = []
         self._shut: dict[GridCell, int] = {}
-        self._future: tuple[float, str] | None = None
+        self.refused_stamp: tuple[float, str] | None = None
+        """When data of another clock were last refused (seconds), and why."""
 
     @property
     def is_sensing(self) -> bool:
@@ -163,7 +165,7 @@ class RobotCore:
             else:
                 self.sensors.add_pose(event, now)
         except FutureStampError as error:
-            self._future = now, str(error)
+            self.refused_stamp = now, str(error)
             raise
 
     def _check_place(self, intent: Intent, now: float) -> None:
@@ -191,7 +193,7 @@ class RobotCore:
         for tick, partners in self._partners.items():
             self.mail.pass_on(tick, partners)
         velocity = self._velocity(now)
-        self.status = self._report(now)
+        self.status = status_of(self, now)
         return Output(velocity, self.mail.collect())
 
     # ------------------------------------------------------------ the phases of a tick; each
@@ -401,47 +403,21 @@ class RobotCore:
 
     # ------------------------------------------------------------ what it tells people
 
-    def _report(self, now: float) -> Status:
-        fault = self._fault(now)
-        if fault:
-            return fault
-        missing = self._missing()
-        if missing:
-            return Status(Reason.WAITING, f"waiting for {named(missing)}")
-        if self.is_complete:
-            return Status(Reason.COMPLETE, "no frontier can be reached: the map is complete")
-        if self._phase == self._sense:
-            return Status(Reason.WAITING, "waiting for a scan of this tick")
-        return Status(Reason.EXPLORING, f"exploring, tick {self.tick}")
+    @property
+    def counts(self) -> dict[str, int]:
+        """What has gone wrong so far, and how its goals are found, for people."""
+        return {
+            "tick": self.tick,
+            "known cells": self.knowledge.known,
+            "merges refused": self.knowledge.refused.total(),
+            "moves given up for obstacles": self.wheels.obstacles,
+            "moves given up for wheels": self.wheels.stalls,
+            "jumps of the pose": self.jumps.jumps,
+            "numpy instead of the kernel": int(not uses_kernel()),
+        }
 
-    def _fault(self, now: float) -> Status | None:
-        settings, pose, scan = self.settings, self.sensors.pose, self.sensors.scan
-        if self._future and now - self._future[0] <= settings.max_pose_age:
-            return Status(Reason.OTHER_CLOCK, f"stamps of another clock: {self._future[1]}")
-        if pose is None:
-            return Status(Reason.NO_POSE, "no pose has arrived yet")
-        if abs(now - pose.stamp) > settings.max_pose_age:
-            return Status(
-                Reason.NO_POSE,
-                f"its pose is {now - pose.stamp:.1f} s old; at most {settings.max_pose_age:g} s",
-            )
-        cell = self.frame.cell(pose.x, pose.y)
-        if not self.frame.inside(cell):
-            return Status(
-                Reason.OUTSIDE, f"its pose ({pose.x:.2f}, {pose.y:.2f}) m is outside the arena"
-            )
-        if scan is None:
-            return Status(Reason.NO_SCAN, "no scan has arrived yet")
-        if abs(now - scan.stamp) > settings.max_scan_age:
-            return Status(
-                Reason.NO_SCAN,
-                f"its scan is {now - scan.stamp:.1f} s old; at most {settings.max_scan_age:g} s",
-            )
-        if self.jumps.is_checking:
-            return Status(Reason.JUMP, str(self.jumps.reports[-1]))
-        return self.wheels.status()
-
-    def _missing(self) -> set[int]:
+    @property
+    def waited_for(self) -> set[int]:
         """Robots that it waits for now."""
         if self._phase == self._begin:
             return self.clock.waited_for - {self.robot}

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from marl_explore.robot.runtime import RobotCore
 
 
 class Reason(str, Enum):
@@ -42,3 +45,48 @@ def named(robots: Iterable[int]) -> str:
     if len(numbers) == 1:
         return f"robot {numbers[0]}"
     return f"robots {', '.join(numbers[:-1])} and {numbers[-1]}"
+
+
+def status_of(core: RobotCore, now: float) -> Status:
+    """What a robot does at a time (seconds), or why it stands still."""
+    fault = _of_clock(core, now) or _of_pose(core, now) or _of_scan(core, now)
+    if fault:
+        return fault
+    if core.jumps.is_checking:
+        return Status(Reason.JUMP, str(core.jumps.reports[-1]))
+    if stuck := core.wheels.status():
+        return stuck
+    if missing := core.waited_for:
+        return Status(Reason.WAITING, f"waiting for {named(missing)}")
+    if core.is_complete:
+        return Status(Reason.COMPLETE, "no frontier can be reached: the map is complete")
+    if core.is_sensing:
+        return Status(Reason.WAITING, f"waiting for a scan of tick {core.tick}")
+    return Status(Reason.EXPLORING, f"exploring, tick {core.tick}")
+
+
+def _of_clock(core: RobotCore, now: float) -> Status | None:
+    if core.refused_stamp is None or now - core.refused_stamp[0] > core.settings.max_pose_age:
+        return None
+    return Status(Reason.OTHER_CLOCK, f"stamps of another clock: {core.refused_stamp[1]}")
+
+
+def _of_pose(core: RobotCore, now: float) -> Status | None:
+    pose, limit = core.sensors.pose, core.settings.max_pose_age
+    if pose is None:
+        return Status(Reason.NO_POSE, "no pose has arrived yet")
+    if abs(now - pose.stamp) > limit:
+        return Status(Reason.NO_POSE, f"its pose is {now - pose.stamp:.1f} s old, over {limit:g} s")
+    if not core.frame.inside(core.frame.cell(pose.x, pose.y)):
+        where = f"({pose.x:.2f}, {pose.y:.2f}) m"
+        return Status(Reason.OUTSIDE, f"its pose {where} is outside the arena")
+    return None
+
+
+def _of_scan(core: RobotCore, now: float) -> Status | None:
+    scan, limit = core.sensors.scan, core.settings.max_scan_age
+    if scan is None:
+        return Status(Reason.NO_SCAN, "no scan has arrived yet")
+    if abs(now - scan.stamp) > limit:
+        return Status(Reason.NO_SCAN, f"its scan is {now - scan.stamp:.1f} s old, over {limit:g} s")
+    return None

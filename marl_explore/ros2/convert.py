@@ -18,9 +18,12 @@ from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
 from marl_explore.robot import Envelope, Pose, Scan
 from marl_explore.robot.driving import Velocity
 from marl_explore.robot.explorer import OccupancyMap, Place
-from marl_explore.robot.geometry import Frame
+from marl_explore.robot.geometry import Frame, Mount
+from marl_explore.robot.status import Status
 
 Fields = dict[str, Any]
+OK, WARN = b"\x00", b"\x01"
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
 PERCENT_OCCUPIED = 100
 """An obstacle in an OccupancyGrid, which holds probabilities in percent; unknown is -1."""
 LEAST_SQUARE, MOST_SQUARE = 1e-6, 1e6
@@ -69,8 +72,13 @@ def scan_fields(scan: Scan, frame_id: str) -> Fields:
     }
 
 
-def to_scan(message: Any) -> Scan:
-    """The scan of a sensor_msgs/LaserScan."""
+def to_scan(message: Any, mount: Mount | None = None) -> Scan:
+    """The scan of a sensor_msgs/LaserScan.
+
+    Args:
+        message: the LaserScan.
+        mount: where the lidar is on the robot; None: as the robot's settings have it.
+    """
     return Scan(
         stamp=to_seconds(message.header.stamp),
         ranges=np.array(message.ranges, np.float64),
@@ -78,6 +86,7 @@ def to_scan(message: Any) -> Scan:
         angle_increment=float(message.angle_increment),
         range_min=float(message.range_min),
         range_max=float(message.range_max),
+        mount=mount,
     )
 
 
@@ -128,6 +137,17 @@ def yaw_of(turned: Any) -> float:
             f"orientation={(x, y, z, w)!r} is not allowed: it must be a quaternion of length 1"
         )
     return math.atan2(2 * (w * z + x * y), square - 2 * (y * y + z * z))
+
+
+def require_frame(message: Any, frame: str) -> None:
+    """Raise an error unless a message with a header is in a frame.
+
+    Raises:
+        ValueError: naming both frames.
+    """
+    given = message.header.frame_id.lstrip("/")
+    if given != frame:
+        raise ValueError(f"frame_id={given!r} is not allowed: it must be {frame!r}")
 
 
 def grid_fields(grid: NDArray[np.int8], frame: Frame, stamp: float, frame_id: str) -> Fields:
@@ -194,6 +214,23 @@ def to_letter(message: Any, receiver: int) -> Envelope:
         ValueError: when the data are not such a message.
     """
     return Envelope.decode(bytes(message.data), receiver)
+
+
+def status_fields(status: Status, name: str, counts: Mapping[str, int]) -> Fields:
+    """diagnostic_msgs/DiagnosticStatus; ``values`` are (key, value).
+
+    Args:
+        status: of the robot.
+        name: of the robot.
+        counts: by name.
+    """
+    return {
+        "level": WARN if status.is_fault else OK,
+        "name": f"{name}/robot",
+        "message": f"{status.reason.value}: {status.text}",
+        "hardware_id": name,
+        "values": [(key, str(value)) for key, value in counts.items()],
+    }
 
 
 def velocity_fields(velocity: Velocity) -> Fields:

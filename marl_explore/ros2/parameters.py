@@ -80,6 +80,8 @@ class RobotParameters:
     """Frame of poses and maps, with its origin in the middle of the arena."""
     base_frame: str = "base_link"
     """Frame of stamped velocities."""
+    lidar_from_tf: bool = False
+    """Whether tf says where the lidar is on the robot, instead of ``settings.beams``."""
     stamped: bool = False
     """Whether velocities are TwistStamped instead of Twist."""
     rate: float = 20.0

@@ -26,6 +26,8 @@ _KINDS = {
     "inbox": "std_msgs/msg/UInt8MultiArray",
     "cmd_vel": "geometry_msgs/msg/TwistStamped",
 }
+_ALLOWED = {name: (kind,) for name, kind in _KINDS.items()}
+_ALLOWED["cmd_vel"] += ("geometry_msgs/msg/Twist",)
 
 
 class Recorder:
@@ -117,7 +119,9 @@ def _unreadable(path: str | Path, error: Exception) -> ValueError:
     return ValueError(f"{path} cannot be read as a recording: {type(error).__name__}: {error}")
 
 
-def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> int:
+def replay_recording(
+    path: str | Path, core: RobotCore, team: Sequence[str], frame: str = "arena"
+) -> int:
     """Run a robot on a recording.
 
     It receives its scans, its messages and all poses again, and advances at every time at which it
@@ -127,22 +131,25 @@ def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> 
         path: folder of the recording.
         core: a new robot, with the policy and seed of the recorded one.
         team: namespaces of all robots, in the order of their numbers.
+        frame: of poses; those in others were dropped, as by ``robot_node``.
 
     Returns:
         How often it advanced.
 
     Raises:
-        ValueError: when the robot sent no velocity.
+        ValueError: when it cannot be read, a topic has messages of another type, or the robot sent
+            no velocity.
     """
     own, advanced = team[core.robot], 0
     take: dict[str, Callable[[Any], Scan | Pose | Envelope]] = {
-        f"/{name}/pose": partial(convert.to_pose, robot=robot) for robot, name in enumerate(team)
+        f"/{name}/pose": partial(_pose, robot=robot, frame=frame) for robot, name in enumerate(team)
     }
     take |= {
         f"/{own}/scan": convert.to_scan,
         f"/{own}/inbox": partial(convert.to_letter, receiver=core.robot),
     }
     for topic, time, message in messages(path):
+        _check_kind(path, topic, message)
         if topic in take:
             with suppress(ValueError):  # the robot dropped it too
                 core.receive(take[topic](message), time)
@@ -153,6 +160,21 @@ def replay_recording(path: str | Path, core: RobotCore, team: Sequence[str]) -> 
     if not advanced:
         raise ValueError(f"{path} has no /{own}/cmd_vel, so it is unknown when the robot acted")
     return advanced
+
+
+def _pose(message: Any, robot: int, frame: str) -> Pose:
+    convert.require_frame(message, frame)
+    return convert.to_pose(message, robot)
+
+
+def _check_kind(path: str | Path, topic: str, message: Any) -> None:
+    """Refuse messages of another type on the robots' topics."""
+    name = topic.rpartition("/")[-1]
+    allowed = _ALLOWED.get(name)
+    if allowed and message.__msgtype__ not in allowed:
+        raise ValueError(
+            f"{path} cannot be replayed: {topic} has {message.__msgtype__}, not {allowed[0]}"
+        )
 
 
 def _message(kind: str, fields: Mapping[str, Any]) -> Any:

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import qos_profile_sensor_data
@@ -19,9 +22,12 @@ from std_msgs.msg import UInt8MultiArray
 
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
+from marl_explore.robot.geometry import Mount
+from marl_explore.robot.status import Reason
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run, time_of
 from marl_explore.ros2.parameters import RobotParameters
+from marl_explore.ros2.pose_sources import TransformPoses, listen_to_tf
 
 
 class RobotNode(ParameterNode[RobotParameters]):
@@ -35,6 +41,8 @@ class RobotNode(ParameterNode[RobotParameters]):
         super().__init__("robot_node", RobotParameters())
         self.core = self.given.make_core()
         self._published = 0
+        self._told: Reason | None = None
+        self._mounts: TransformPoses | None = None
         team, own = self.given.team, self.given.team[self.given.robot]
         for robot, name in enumerate(team):
             take = partial(self._take_pose, robot)
@@ -49,43 +57,52 @@ class RobotNode(ParameterNode[RobotParameters]):
             if robot != self.given.robot
         }
         self._maps = self.create_publisher(OccupancyGrid, f"/{own}/map", LATEST)
+        self._statuses = self.create_publisher(DiagnosticArray, f"/{own}/status", LATEST)
         kind = TwistStamped if self.given.stamped else Twist
         self._velocities = None if dry_run else self.create_publisher(kind, f"/{own}/cmd_vel", 1)
         self.create_timer(1 / self.given.rate, self._advance)
+        self.create_timer(1.0, self._send_status)
 
     def stop(self) -> None:
         """Stop the robot."""
         self._send_velocity(ZERO, time_of(self))
 
     def _take_scan(self, message: Any) -> None:
-        self._take_measured(convert.to_scan(message))
+        with self._dropping("a scan"):
+            self._take_measured(convert.to_scan(message, self._mount(message.header.frame_id)))
 
     def _take_pose(self, robot: int, message: Any) -> None:
-        if message.header.frame_id != self.given.frame:
-            self.get_logger().error(
-                f"dropped a pose of robot {robot} in frame {message.header.frame_id!r}: "
-                f"they must be in {self.given.frame!r}",
-                throttle_duration_sec=5.0,
-            )
-            return
-        self._take_measured(convert.to_pose(message, robot))
+        with self._dropping(f"a pose of robot {robot}"):
+            convert.require_frame(message, self.given.frame)
+            self._take_measured(convert.to_pose(message, robot))
 
     def _take_measured(self, event: Scan | Pose) -> None:
         now = time_of(self)
-        if not now:  # simulated time has not begun: the age is unknown
-            return
-        try:
+        if now:  # otherwise simulated time has not begun: the age is unknown
             self.core.receive(event, now)
+
+    @contextmanager
+    def _dropping(self, what: str) -> Iterator[None]:
+        """Log what cannot be used, and go on without it."""
+        try:
+            yield
         except ValueError as error:
-            self.get_logger().error(
-                f"dropped a {type(event).__name__.lower()}: {error}", throttle_duration_sec=5.0
-            )
+            self.get_logger().error(f"dropped {what}: {error}", throttle_duration_sec=5.0)
+
+    def _mount(self, frame: str) -> Mount | None:
+        """Where tf has the lidar on the robot; None: it is not asked."""
+        if not self.given.lidar_from_tf:
+            return None
+        if self._mounts is None:
+            self._mounts = listen_to_tf(self, self.given.base_frame, frame)
+        place = self._mounts.place()
+        if place is None:
+            raise ValueError(f"there is no {self._mounts.name}")
+        return Mount(*place)
 
     def _take_letter(self, message: Any) -> None:
-        try:
+        with self._dropping("a message"):
             self.core.receive(convert.to_letter(message, self.given.robot), time_of(self))
-        except ValueError as error:
-            self.get_logger().error(f"dropped a message: {error}")
 
     def _advance(self) -> None:
         now = time_of(self)
@@ -98,6 +115,8 @@ class RobotNode(ParameterNode[RobotParameters]):
                 self._inboxes[receiver].publish(letter)
         self._send_map(now)
         self._send_velocity(output.velocity, now)
+        if self.core.status.reason is not self._told:
+            self._tell()
 
     def _send_map(self, now: float) -> None:
         if self.core.knowledge.changes == self._published:
@@ -107,6 +126,23 @@ class RobotNode(ParameterNode[RobotParameters]):
             self.core.knowledge.map, self.core.frame, now, self.given.frame
         )
         self._maps.publish(convert.fill(OccupancyGrid(), fields))
+
+    def _tell(self) -> None:
+        """Log and publish a status of another kind than before."""
+        status = self.core.status
+        self._told = status.reason
+        log = self.get_logger().warning if status.is_fault else self.get_logger().info
+        log(f"{status.reason.value}: {status.text}")
+        self._send_status()
+
+    def _send_status(self) -> None:
+        fields = convert.status_fields(
+            self.core.status, self.given.team[self.given.robot], self.core.counts
+        )
+        fields["values"] = [KeyValue(key=key, value=value) for key, value in fields["values"]]
+        array = DiagnosticArray(status=[convert.fill(DiagnosticStatus(), fields)])
+        header = convert.header_fields(time_of(self), "")
+        self._statuses.publish(convert.fill(array, {"header": header}))
 
     def _send_velocity(self, velocity: Velocity, now: float) -> None:
         if self._velocities is None:

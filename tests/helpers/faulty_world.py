@@ -51,14 +51,21 @@ class FaultyWorld(World):
 
     def __init__(self, faults, chance, *arguments, **options):
         super().__init__(*arguments, **options)
+        self.obstacles = self.obstacles.copy()
         self.faults, self.chance = faults, chance
         self._mail, self._order, self.time = [], count(), 0.0
         self.refused, self._ticks = 0, 0
-        half, cells = self.frame.cell_size / 2, np.argwhere(self.obstacles).tolist()
-        self._boxes = np.array([self.frame.centre(cell) for cell in cells]).reshape(-1, 2)
-        self._half = half
+        self._half = self.frame.cell_size / 2
+        self.put()
         self.gap = math.inf
         self._switch()
+
+    def put(self, *cells, code=True):
+        """Put boxes into cells, or take them away."""
+        for cell in cells:
+            self.obstacles[cell] = code
+        boxes = np.argwhere(self.obstacles).tolist()
+        self._boxes = np.array([self.frame.centre(box) for box in boxes]).reshape(-1, 2)
 
     def step(self):
         """One step, with what is due by then."""

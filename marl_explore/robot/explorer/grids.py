@@ -9,11 +9,11 @@ grow and change their origin, and the maps of a team lie on the same cells. A co
   map does not cover it;
 - else occupied.
 
-No passage into which the robot fits is closed: a way over fine cells is a way over coarse ones and
-their eight neighbours. And no wall leaks, however it lies: places on both sides of it into which the
-robot fits are at least 2 (radius - resolution / sqrt(2)) apart, places in neighbouring coarse cells
-at most sqrt(8) sides, which is less with a ``SIDE`` of half the radius and fine cells of at most two
-thirds of that (larger ones are split).
+No passage into which the robot fits is closed: a way over fine cells is one over coarse cells and
+their eight neighbours. And no wall leaks, however it lies: places on both sides of it into which
+the robot fits are at least 2 (radius - resolution / sqrt(2)) apart, and places in neighbouring
+coarse cells at most sqrt(8) sides. That is less with a ``SIDE`` of half the radius and fine cells
+of at most two thirds of that; larger ones are split.
 """
 
 from __future__ import annotations

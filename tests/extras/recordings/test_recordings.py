@@ -6,14 +6,14 @@ import random
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.config.constants import COMMUNICATE
 from marl_explore.robot import BarrierClock, Envelope, Pose, RobotCore, Scan
 from marl_explore.robot.driving import Velocity
 from marl_explore.robot.messages import Done
-from marl_explore.ros2 import convert
+from marl_explore.ros2 import convert, recordings
 from marl_explore.ros2.recordings import Recorder, messages, replay_recording
 from tests.helpers.robot_world import PATIENT, World
 
@@ -137,6 +137,25 @@ def test_what_is_no_recording_is_refused(tmp_path):
         recorder.receive(0, Pose(0.0, 0, 0.0, 0.0, 0.0), 0.0)
     with pytest.raises(ValueError, match="no /robot_0/cmd_vel"):
         replay_recording(tmp_path / "bag", reborn(0, seed=0), TEAM)
+
+
+def test_poses_in_another_frame_are_dropped_as_by_the_node(tmp_path):
+    with Recorder(tmp_path / "bag", TEAM, frame="odom") as recorder:
+        recorder.receive(0, Pose(1.0, 0, 0.0, 0.0, 0.0), 1.0)
+        recorder.answer(0, Velocity(0.0, 0.0), 1.0)
+    for frame, known in (("arena", False), ("odom", True)):
+        core = reborn(0, seed=0)
+        assert replay_recording(tmp_path / "bag", core, TEAM, frame) == 1
+        assert (core.sensors.pose is not None) is known
+
+
+def test_topics_with_other_messages_are_named(tmp_path):
+    topic, kind, types = "/robot_0/pose", "std_msgs/msg/UInt8MultiArray", recordings._TYPES
+    with Writer(tmp_path / "other", version=9) as writer:
+        connection = writer.add_connection(topic, kind, typestore=types)
+        writer.write(connection, 1, types.serialize_cdr(recordings._message(kind, {}), kind))
+    with pytest.raises(ValueError, match="other cannot be replayed: /robot_0/pose has std_msgs"):
+        replay_recording(tmp_path / "other", reborn(0, seed=0), TEAM)
 
 
 def test_recordings_that_cannot_be_read_are_named(team, tmp_path):
