@@ -96,7 +96,8 @@ $(ROS)/installed: pyproject.toml constraints.txt
 	$(ROS)/bin/python -m pip install -q "torch==$$(sed -n 's/^torch==//p' constraints.txt)"
 	$(ROS)/bin/python -m pip install -q -c constraints.txt -e ".[lab]" pytest hypothesis \
 	  colcon-common-extensions "ros-jazzy-rclpy[fastrtps]" ros-jazzy-rosgraph-msgs ros-jazzy-std-msgs \
-	  ros-jazzy-geometry-msgs ros-jazzy-nav-msgs ros-jazzy-sensor-msgs
+	  ros-jazzy-geometry-msgs ros-jazzy-nav-msgs ros-jazzy-sensor-msgs ros-jazzy-diagnostic-msgs \
+	  ros-jazzy-visualization-msgs
 	touch $@
 
 clean:

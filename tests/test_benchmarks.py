@@ -7,7 +7,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from benchmarks import curves, environment, frontier, locks, planners, scaling, training, worlds
+from benchmarks import (
+    curves,
+    environment,
+    explorers,
+    frontier,
+    locks,
+    planners,
+    scaling,
+    training,
+    worlds,
+)
 from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.faults import lines, mutants
 from marl_explore.core.frontier import feature_table
@@ -55,6 +65,15 @@ def test_the_benchmark_of_planners_runs():
     milliseconds = planners.measure("16 robots, 12 x 12", repeats=1)
     assert {"nearest", "hungarian", "rendezvous", "central"} <= set(milliseconds)
     assert all(value > 0 for value in milliseconds.values())
+
+
+def test_the_benchmark_of_explorers_runs():
+    assert set(explorers.office()) == {*"#.1234\n"}
+    room = "#############\n#...........#\n#....1.2....#\n#...........#\n#############"
+    explored, driven, *times = explorers.measure(2, coordinated=False, plan=room)
+    assert 0 <= explored < 60
+    assert driven >= 0
+    assert all(time > 0 for time in times)
 
 
 def test_the_benchmark_of_wider_worlds_runs():

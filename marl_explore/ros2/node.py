@@ -1,4 +1,4 @@
-"""Shared by both nodes: QoS for robots that join late, read-only parameters, and shutdown."""
+"""Shared by all nodes: QoS for robots that join late, read-only parameters, and shutdown."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _KINDS = {
     "inbox": "std_msgs/msg/UInt8MultiArray",
     "cmd_vel": "geometry_msgs/msg/TwistStamped",
 }
-_ALLOWED = {name: (kind,) for name, kind in _KINDS.items()}
+_ALLOWED: dict[str, tuple[str, ...]] = {name: (kind,) for name, kind in _KINDS.items()}
 _ALLOWED["cmd_vel"] += ("geometry_msgs/msg/Twist",)
 
 

@@ -49,6 +49,7 @@ if __name__ == "__main__":
         license="MIT",
         entry_points={
             "console_scripts": [
+                "explorer_node = marl_explore.ros2.explorer_node:main",
                 "robot_node = marl_explore.ros2.robot_node:main",
                 "lab_sim = marl_explore.ros2.lab_sim:main",
             ]

@@ -122,6 +122,7 @@ class Rover:
         returned[row[ends, first[ends]], column[ends, first[ends]]] = True
         self.score += np.where(returned, 3, np.where(passed, -1, 0)).astype(np.int16)
         np.clip(self.score, -4, 6, out=self.score)
+        self.score[(passed | returned) & (self.score == 0)] = -1  # what is known stays known
 
     def map(self):
         """What SLAM publishes: the known rectangle and a margin."""

@@ -19,6 +19,10 @@ MOVED = 0.3
 """A robot that has come so far from its start can move (metres)."""
 
 
+MOST_CHOICES = 6
+"""Times that a frontier is chosen; one that comes and goes in a map that flickers is left alone."""
+
+
 class Mission:
     """What a robot does with what it sees; times are lived ones, in seconds.
 
@@ -39,6 +43,7 @@ class Mission:
         """Goals that were reached."""
         self.state: State = "exploring"
         self.sentence = ""
+        self._chosen: list[Point] = []
         self._visited: Point | None = None
         self._next_map, self._waits_until = 0, -math.inf
         self._empty_since: float | None = None
@@ -145,7 +150,16 @@ class Mission:
             longer = goal.distance(self.attempt.goal) > self.settings.arrival
             if self.attempt.final or not longer:
                 return None
+        elif self._is_chosen_too_often(faces):
+            self.skips.add_in_vain([faces], self.settings.arrival, view.grid)
+            self.attempt = None
+            return None
         return self._send(goal, faces, final, cells, view)
+
+    def _is_chosen_too_often(self, faces: Point) -> bool:
+        self._chosen.append(faces)
+        near = (Place(*faces).distance(point) <= self.settings.arrival for point in self._chosen)
+        return sum(near) > MOST_CHOICES
 
     def _send(
         self, goal: Place, faces: Point | None, final: bool, cells: list[GridCell], view: View

@@ -29,10 +29,8 @@ class View(NamedTuple):
     """Their union; the own map counts where they contradict."""
     layers: tuple[CoarseMap, ...]
     """The own map, then the teammates' whose maps fit, the last heard first."""
-    start: GridCell
-    """Where the robot is."""
     lengths: Lengths
-    """Of ways from there."""
+    """Of ways from the robot."""
     frontiers: tuple[Cluster, ...]
     """Unknown cells beside cells that it reaches, in clusters that are long enough."""
     border: Mask
@@ -113,16 +111,14 @@ def look(
         if not (mate.refused or mate.fit.is_little):
             layers.append(layer)
     grid = union(layer.grid for layer in layers)
-    start = grid.cell(mine.grid.middle(start))
     free = grid.codes == FREE
-    lengths = ways(free, start)
+    lengths = ways(free, grid.cell(mine.grid.middle(start)))
     reached = border(grid.codes, lengths != NO_WAY)
     frontiers, small = long_clusters(reached, grid.side, settings.min_frontier)
     beyond = border(grid.codes, free & (lengths == NO_WAY)) & ~reached
     return View(
         grid=grid,
         layers=tuple(layers),
-        start=start,
         lengths=lengths,
         frontiers=tuple(frontiers),
         border=cells_of(frontiers, free.shape),

@@ -30,6 +30,22 @@ assert core.observation.action_mask[core.action]
 print(core.observation.fpr[:, 0].sum(), core.action)
 """
 
+EXPLORES = """
+import importlib.util
+for name in ("torch", "tensordict", "torchrl", "scipy"):
+    assert importlib.util.find_spec(name) is None, name
+import numpy as np
+import marl_explore.ros2.displays, marl_explore.ros2.explorer_parameters
+from marl_explore.robot.explorer import ExplorerCore, OccupancyMap, Place
+percent = np.zeros((60, 60), np.int8)
+percent[:, -1] = 100
+core = ExplorerCore()
+core.take_map(OccupancyMap(percent, 0.05, Place(0.0, 0.0)))
+core.take_place(Place(1.0, 1.0))
+output = core.advance(1.0)
+print(output.status.state, output.goal.x < 2.8)
+"""
+
 
 @pytest.fixture(scope="module")
 def bare_python(tmp_path_factory):
@@ -61,3 +77,13 @@ def test_a_robot_decides_without_torch(bare_python, tmp_path, network):
     assert float(share) == 1
     assert 0 <= int(action) <= 9
     assert sys.version_info >= (3, 10)
+
+
+def test_an_explorer_chooses_a_goal_without_torch(bare_python):
+    done = subprocess.run(
+        [bare_python, "-c", EXPLORES],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == ["exploring", "True"], done.stderr

@@ -1,0 +1,344 @@
+"""Explorer nodes as processes, with a simulated SLAM and Nav2, over DDS on loopback."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+
+from marl_explore.robot.explorer import OccupancyMap, Place
+from marl_explore.ros2 import convert
+from marl_explore.ros2.node import LATEST
+from tests.extras.ros2.conftest import ROOT
+from tests.extras.ros2.explorers import Explorers, Slam, map_message, without_torch
+from tests.helpers.slam import World
+
+PLAN = """
+####################################
+#...........#......................#
+#...........#......................#
+#...........#......................#
+#...1..............................#
+#...2..............................#
+#...........#......................#
+#...........##########aaaa##########
+#...........#......................#
+#...........#......................#
+#...........#......................#
+####################################
+"""
+"""A room with doors to the east, and one in the south that closes."""
+DONE = ("complete", "stuck")
+
+
+@pytest.fixture
+def environment():
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+@contextmanager
+def exploring(environment, folder, *args, **options):
+    rclpy.init()
+    slam = Slam(*args, **options)
+    try:
+        with Explorers(environment, folder) as explorers:
+            yield explorers, slam
+    finally:
+        slam.destroy_node()
+        rclpy.shutdown()
+
+
+def test_two_robots_explore_while_a_door_closes(workspace, tmp_path):
+    """As the launch file starts them; maps are latched or not, and in frames of their own."""
+    frames = {"robot_1": Place(1.1, 1.6), "robot_2": Place(1.1, 2.6)}  # as in explorers.yaml
+    args = workspace.environment(), tmp_path, World(PLAN), frames
+    with exploring(*args, volatile=("robot_2",)) as (explorers, slam):
+        explorers.launch(workspace, "explorers.launch.xml", ["use_sim_time:=true"])
+        slam.until(lambda: any(rover.driven > 1.5 for rover in slam.rovers.values()), explorers)
+        slam.world.close("a")
+        slam.until(lambda: all(slam.state(name) in DONE for name in frames), explorers)
+        assert {slam.state(name) for name in frames} == {"complete"}
+        for name in frames:
+            status, values = slam.statuses[name]
+            assert status.message.startswith("complete: no frontier is left")
+            assert status.level == b"\x00"
+            assert int(values["goals given up"]) == 0
+            (team,) = (said for key, said in values.items() if key.startswith("teammate"))
+            assert "map merged" in team
+            assert slam.markers[name].keys() == {"frontiers", "plan", "skipped"}
+            rover = slam.rovers[name]
+            assert rover.driven > 1
+            assert rover.place.distance(rover.frame.relative(slam.world.starts[name[-1]])) < 0.6
+        reached = slam.explored()
+        assert 0.55 < reached < 0.9  # not what is behind the closed door
+        slam.world.open("a")
+    assert set(explorers.codes.values()) == {0}, explorers.said()
+
+
+def test_one_robot_without_a_namespace_and_a_shared_clock(environment, tmp_path):
+    """The node starts before SLAM and waits for it; then with SLAM's stamps of another time."""
+    words = ["-p", "settings.settle:=2.0", "-p", "settings.map_patience:=1.0", "-p", "rate:=8.0"]
+    words += ["-p", "settings.return_to_start:=false"]
+    world = World(PLAN)
+    with exploring(environment, tmp_path, world, {"": Place(1.0, 0.5)}, has_clock=False) as (
+        explorers,
+        slam,
+    ):
+        send_map, send_pose = slam._send_map, slam._send_pose
+        slam._send_map = slam._send_pose = lambda *message: None
+        explorers.start("", words)
+        slam.until(lambda: slam.state("") == "waiting", explorers)
+        assert "waiting for a map" in slam.statuses[""][0].message
+        slam._send_map, slam._send_pose = send_map, send_pose
+        slam.until(lambda: slam.state("") in DONE, explorers)
+        assert slam.states[""] == ["waiting", "exploring", "complete"]
+        assert slam.explored() > 0.93
+        goal = slam.markers[""]
+        assert goal["plan"].header.frame_id == "map"
+
+
+def test_a_teammate_that_comes_late_or_dies(environment, tmp_path):
+    words = ["-p", "team:=[robot_1, robot_2]", "-p", "use_sim_time:=true"]
+    words += ["-p", "settings.lost_after:=5.0"]
+    frames = {"robot_1": Place(0.0, 0.0), "robot_2": Place(0.0, 0.0)}
+    args = environment, tmp_path, World(PLAN), frames
+    with exploring(*args, together=False) as (explorers, slam):
+
+        def team():
+            return slam.statuses["robot_1"][1].get("teammate robot_2", "")
+
+        silent, send = slam._poses.pop("robot_2"), slam._send_map
+        slam._send_pose = lambda name, place, send=slam._send_pose: (
+            send(name, place) if name in slam._poses else None
+        )
+        slam._send_map = lambda name, grid: send(name, grid) if name in slam._poses else None
+        explorers.start("robot_1", words)
+        slam.until(lambda: slam.state("robot_1") == "exploring", explorers)
+        assert team() == "not heard yet"
+        slam._poses["robot_2"] = silent
+        explorers.start("robot_2", words)
+        slam.until(lambda: "map merged" in team(), explorers)
+        explorers.processes["robot_2"].kill()
+        explorers.processes.pop("robot_2").wait()
+        del slam._poses["robot_2"]
+        slam.until(lambda: "lost, last heard" in team(), explorers)
+        slam.until(lambda: slam.state("robot_1") in DONE, explorers)
+        assert slam.state("robot_1") == "complete"
+
+
+def test_simulated_time_that_has_not_begun_is_waited_for(environment, tmp_path):
+    args = environment, tmp_path, World(PLAN), {"": Place(0.0, 0.0)}
+    with exploring(*args, has_clock=False) as (explorers, slam):
+        explorers.start("", ["-p", "use_sim_time:=true"])
+        slam.until(lambda: slam.state("") == "waiting", explorers)
+        assert "/clock" in slam.statuses[""][0].message
+        slam.has_clock = True
+        slam.until(lambda: slam.state("") == "exploring", explorers)
+
+
+def test_what_cannot_be_used_is_dropped_with_a_reason(environment, tmp_path):
+    args = environment, tmp_path, World(PLAN), {"": Place(0.0, 0.0)}
+    with exploring(*args, has_clock=False) as (explorers, slam):
+        slam._send_map = slam._send_pose = lambda *message: None
+        explorers.start("", [])
+        slam.until(lambda: slam.state("") == "waiting", explorers)
+        grid = OccupancyMap(np.zeros((3, 4), np.int8), 0.05, Place(0.0, 0.0))
+        other, short, none = (map_message(grid) for _ in range(3))
+        other.header.frame_id = "odom"
+        short.info.height = 5
+        none.info.origin.orientation.w = 0.0
+        pose = PoseWithCovarianceStamped()
+        pose.header.frame_id = "map"
+        log = tmp_path / "alone.log"
+        for message, said in (
+            (other, "frame_id='odom' is not allowed: it must be 'map'"),
+            (short, "data of 12 cells are not allowed: the map has 5 x 4"),
+            (none, "orientation=(0.0, 0.0, 0.0, 0.0) is not allowed"),
+            (pose, "dropped from /pose: orientation=(0.0, 0.0, 0.0, 0.0) is not allowed"),
+        ):
+            topic = slam._poses[""] if message is pose else slam._maps[""]
+
+            def dropped(topic=topic, message=message, said=said):
+                topic.publish(message)
+                return said in log.read_text()
+
+            pose.pose.pose.orientation.w = 0.0
+            slam.until(dropped, explorers)
+
+
+# ---------------------------------------------------------------- --check and parameters
+
+
+def checked(environment, *words):
+    return subprocess.run(
+        [sys.executable, "-m", "marl_explore.ros2.explorer_node", "--check", "--ros-args", *words],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_check_says_what_is_missing(environment):
+    done = checked(environment, "-p", "team:=[a, b]", "-r", "__ns:=/a")
+    assert done.returncode == 1, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines == [
+        "/a/goal_pose: no subscriber: is Nav2 running?",
+        "/a/map: no publisher",
+        "/a/pose: no publisher",
+        "/b/explorer/pose: no publisher",
+        "/b/goal_pose: no publisher",
+        "/b/map: no publisher",
+    ]
+
+
+def test_check_is_content_and_names_a_wrong_type(environment):
+    rclpy.init()
+    node = Node("some_stack")
+    try:
+        node.create_publisher(OccupancyGrid, "/map", LATEST)
+        node.create_subscription(PoseStamped, "/goal_pose", lambda message: None, 1)
+        wrong = node.create_publisher(String, "/pose", 1)
+        done = checked(environment)
+        assert done.returncode == 1
+        assert "/pose: published as std_msgs/msg/String, not geometry_msgs/msg/Pose" in done.stdout
+        node.destroy_publisher(wrong)
+        node.create_publisher(PoseStamped, "/pose", 1)
+        done = checked(environment)
+        assert done.stdout.splitlines() == ["/goal_pose: ok", "/map: ok", "/pose: ok"]
+        assert done.returncode == 0
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["-p", "settings.radius:=0.0"], "error: radius=0.0 is not allowed"),
+        (["-p", "team:=[a, b]"], "error: team=['a', 'b'] is not allowed: the node's namespace ''"),
+        (["-p", "pose_source:=odom"], "error: pose_source='odom' is not allowed"),
+        (["-p", "pose_source:=tf"], "error: pose_source='tf' is not allowed: No module named"),
+        (["-p", "min_frontier:=1.0"], "error: parameter 'min_frontier' is not allowed"),
+    ],
+)
+def test_what_cannot_work_is_refused_in_a_line(environment, words, said):
+    done = checked(environment, *words)
+    assert done.returncode == 1
+    assert said in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_torch_cannot_be_imported_where_it_is_blocked(environment, tmp_path):
+    """The processes above run on such a path."""
+    environment["PYTHONPATH"] = f"{without_torch(tmp_path / 'without')}:{ROOT}"
+    code = "import marl_explore.ros2.explorer_node, marl_explore.ros2.robot_node\nimport torch"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.stderr.splitlines()[-1] == "ImportError: torch is not on robots"
+
+
+# ---------------------------------------------------------------- subscriptions
+
+
+BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.mark.parametrize(
+    "profiles",
+    [[LATEST], [QoSProfile(depth=1)], [BEST_EFFORT], [LATEST, QoSProfile(depth=1)]],
+    ids=["latched", "volatile", "best effort", "both"],
+)
+def test_a_listener_hears_every_publisher(profiles):
+    from marl_explore.ros2.explorer_node import MAPS
+    from marl_explore.ros2.listening import Listener
+
+    with two_nodes() as (hears, speaks):
+        heard = []
+        listener = Listener(hears, "map", MAPS, lambda m: heard.append(m.info.resolution))
+        speakers = [speaks.create_publisher(OccupancyGrid, "/map", qos) for qos in profiles]
+        message = OccupancyGrid()
+        if profiles == [LATEST]:  # once, before it listens
+            speakers[0].publish(message)
+        end, turn = time.monotonic() + 20, 0
+        while len({*heard}) < len(speakers) and time.monotonic() < end:
+            listener.update()
+            if profiles != [LATEST]:
+                turn = (turn + 1) % len(speakers)
+                message.info.resolution = float(turn)
+                speakers[turn].publish(message)
+            rclpy.spin_once(hears, timeout_sec=0.05)
+        assert len({*heard}) == len(speakers)
+        assert listener.problem() is None
+
+
+@contextmanager
+def two_nodes():
+    """As in two processes: in one, a topic can have one type only."""
+    rclpy.init()
+    other = rclpy.Context()
+    other.init()
+    nodes = Node("hears"), Node("speaks", context=other)
+    try:
+        yield nodes
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        other.shutdown()
+        rclpy.shutdown()
+
+
+def test_poses_may_be_of_either_type_and_of_tf():
+    from marl_explore.ros2.pose_sources import TopicPoses, TransformPoses
+
+    with two_nodes() as (node, speaks):
+        source = TopicPoses(node, "pose", "map")
+        assert source.place() is None
+        assert source.problem() == "no publisher"
+        topic = speaks.create_publisher(PoseStamped, "/pose", 1)
+        fields = convert.place_fields(Place(1.0, 2.0, 0.5), 0.0, "map")
+        message = convert.fill(PoseStamped(), fields)
+        end = time.monotonic() + 20
+        while source.place() is None and time.monotonic() < end:
+            source.update()
+            topic.publish(message)
+            rclpy.spin_once(node, timeout_sec=0.05)
+        assert source.place() == pytest.approx((1.0, 2.0, 0.5))
+    buffer = FakeBuffer()
+    transforms = TransformPoses(buffer, "map", "base_link", LookupError)
+    assert transforms.place() is None
+    assert transforms.problem() == "no transform"
+    buffer.found = message.pose
+    assert transforms.place() == pytest.approx((1.0, 2.0, 0.5))
+    assert transforms.problem() is None
+    assert buffer.asked == ("map", "base_link", 0)
+
+
+class FakeBuffer:
+    """As ``tf2_ros.Buffer``: what was found is a pose."""
+
+    found = asked = None
+
+    def lookup_transform(self, target, source, when):
+        self.asked = target, source, when.nanoseconds
+        if self.found is None:
+            raise LookupError("no transform")
+        from geometry_msgs.msg import TransformStamped
+
+        message = TransformStamped()
+        place = self.found.position
+        message.transform.translation.x, message.transform.translation.y = place.x, place.y
+        message.transform.rotation = self.found.orientation
+        return message
