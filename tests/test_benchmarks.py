@@ -13,6 +13,7 @@ from benchmarks import (
     explorers,
     frontier,
     locks,
+    on_board,
     planners,
     scaling,
     training,
@@ -125,6 +126,12 @@ def test_the_model_of_scaling_finds_its_constants():
 def test_the_scaling_benchmark_runs():
     lines = scaling.main(scaling.Arguments(num_envs=8, workers=(), repeats=1))
     assert len(lines) == 2
+
+
+def test_everything_on_board_decides_with_and_without_kernels():
+    times = on_board.measure("mazes", side=15, repeats=1)
+    assert times.keys() == {"goal actor", "goal-utility", "utility-cost", "nearest-timer"}
+    assert all(row.keys() == {"kernels", "numpy alone"} for row in times.values())
 
 
 def test_without_locks_a_diagonal_is_driven_by_a_cell_that_is_held():
