@@ -11,6 +11,7 @@ import numpy as np
 from marl_explore.config.checks import require
 from marl_explore.evaluation import metrics
 from marl_explore.evaluation.episodes import record
+from marl_explore.happo.diagnostics import ESS_WARNING
 from marl_explore.policies.io import BUNDLED, load_policy, policy_info, save_policy
 from marl_explore.policies.policy import Policy
 from marl_explore.training.run_folder import is_finished, read_config, read_record
@@ -20,8 +21,8 @@ REPLAY_ARENAS = 20
 """Test arenas on which a bundled policy must reproduce its recorded score."""
 SCORE_ARENAS = 200
 STEPS = 300
-CURVES = ("episode_return", "final_coverage", "communication_share", "entropy")
 _POINTS = 50
+_DIGITS = 5
 
 
 def replay_score(
@@ -50,7 +51,10 @@ def replay_score(
 
 
 def run_info(run: str | Path) -> dict[str, Any]:
-    """The information about a finished run: configuration, record and curves.
+    """The information about a finished run: configuration, record, and curves of all measures.
+
+    Of HAPPO's factor also the smallest effective sample size, and how many updates were below that
+    at which a run warns (half of the batch), which curves of means do not show.
 
     Raises:
         ValueError: when the folder is not a run, or the run is not finished.
@@ -59,11 +63,17 @@ def run_info(run: str | Path) -> dict[str, Any]:
     config, how = read_config(run), read_record(run)
     if not is_finished(run):
         raise ValueError(f"the run in {run} is not finished: resume it first")
-    return {
+    paths = sorted((run / "scalars").glob("*.csv"))
+    info = {
         "config": config.to_json(),
         "run": how.to_json(),
-        "curves": {curve: _curve(run / "scalars" / f"{curve}.csv") for curve in CURVES},
+        "curves": {path.stem: _curve(path) for path in paths},
     }
+    if (ess := run / "scalars" / "factor_ess.csv").is_file():
+        sizes = read_curve(ess)[:, 1]
+        low = int((sizes < ESS_WARNING).sum())
+        info["factor_ess"] = {"least": float(sizes.min()), "warnings": low, "updates": len(sizes)}
+    return info
 
 
 def score(policy: Policy, arenas: str = "uniform") -> dict[str, float]:
@@ -113,6 +123,7 @@ def recorded_replay(name: str) -> dict[str, Any]:
 
 
 def _curve(path: Path) -> list[list[float]]:
-    """(frames, value) of a training curve, averaged over sections of it."""
+    """(frames, value) of a training curve, averaged over sections of it, to five digits."""
     rows = read_curve(path)
-    return [part.mean(0).tolist() for part in np.array_split(rows, min(_POINTS, len(rows)))]
+    parts = np.array_split(rows, min(_POINTS, len(rows)))
+    return [[float(f"{number:.{_DIGITS}g}") for number in part.mean(0)] for part in parts]

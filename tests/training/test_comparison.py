@@ -59,7 +59,8 @@ def test_a_variant_is_what_differs_from_the_baseline(trained):
 def test_every_bundled_policy_says_what_it_is():
     names = ("paper-mlp-case2", "paper-cnn-case2", "best")
     found = comparison.find_variants({name: [name] for name in names})
-    assert [dict(variant.settings) for variant in found[:2]] == [{}, {"network": "cnn"}]
+    reading = {"fpr": "proximity", "gamma": 0.9}  # beside the defaults
+    assert [dict(variant.settings) for variant in found[:2]] == [reading, {"network": "cnn"}]
     assert found[2].settings["algorithm"] == "mappo"
 
 
