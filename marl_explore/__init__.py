@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from marl_explore.evaluation.episodes import play as play
     from marl_explore.evaluation.episodes import record as record
     from marl_explore.evaluation.episodes import watch as watch
+    from marl_explore.evaluation.knowledge import require_decentralised as require_decentralised
     from marl_explore.evaluation.registry import find_policy as find_policy
     from marl_explore.evaluation.replay import write_replay as write_replay
     from marl_explore.evaluation.results import evaluate as evaluate
@@ -89,6 +90,7 @@ if TYPE_CHECKING:
     from marl_explore.robot import BarrierClock as BarrierClock
     from marl_explore.robot import Envelope as Envelope
     from marl_explore.robot import ExportedPolicy as ExportedPolicy
+    from marl_explore.robot import Observation as Observation
     from marl_explore.robot import PeriodClock as PeriodClock
     from marl_explore.robot import Pose as Pose
     from marl_explore.robot import RobotCore as RobotCore
@@ -152,6 +154,7 @@ _EXPORTS = {
     "envs.workers": ("split_arenas",),
     "evaluation": ("metrics", "plots", "stats"),
     "evaluation.episodes": ("play", "record", "watch"),
+    "evaluation.knowledge": ("require_decentralised",),
     "evaluation.registry": ("find_policy",),
     "evaluation.replay": ("write_replay",),
     "evaluation.results": ("evaluate", "format_table"),
@@ -170,6 +173,7 @@ _EXPORTS = {
         "BarrierClock",
         "Envelope",
         "ExportedPolicy",
+        "Observation",
         "PeriodClock",
         "Pose",
         "RobotCore",

@@ -23,6 +23,7 @@ PAGES = (
     "README.md",
     "docs/adapters.md",
     "docs/api.md",
+    "docs/benchmark.md",
     "docs/extending.md",
     "docs/happo.md",
     "docs/maps.md",

@@ -135,8 +135,17 @@ def read_image(path: Path, values: Values, negate: bool = False) -> MapFile:
         return MapFile(occupied | ~opaque)
     starts = (grey == values.start) & opaque
     if not starts.any():
-        raise ValueError(f"{path}: expected pixels of start_value={values.start}, got none")
+        raise ValueError(
+            f"{path}: expected pixels of start_value={values.start}, got none; most have the "
+            f"values {_most_frequent(grey)}"
+        )
     return MapFile((occupied & ~starts) | ~opaque, starts=starts)
+
+
+def _most_frequent(grey: NDArray[np.uint8], number: int = 6) -> str:
+    """The most frequent grey values in words, in their order."""
+    found, counts = np.unique(grey, return_counts=True)
+    return ", ".join(map(str, sorted(found[np.argsort(-counts)[:number]].tolist())))
 
 
 def _pixels(path: Path, content: bytes) -> tuple[NDArray[np.float32], Board]:

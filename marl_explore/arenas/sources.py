@@ -186,36 +186,48 @@ def _around(loaded: LoadedMap, robots: int) -> Tensor:
 class MapSuite(Suite):
     """Map files as a suite: every map once, in the order of their names."""
 
-    text: str = ""
-    """The name of the source."""
-
     @property
     def id(self) -> str:
         """The name of the file or folder, and the beginning of the fingerprint."""
         return f"{self.name}-{self.digest[:8]}"
 
     @property
-    def arenas(self) -> str:
-        """The name of the source."""
-        return self.text
+    def arenas(self) -> MapArenas:
+        """The maps."""
+        arenas = self.generator(self.config)
+        assert isinstance(arenas, MapArenas)
+        return arenas
 
 
 def map_suite(text: str, num_agents: int = ArenaConfig.num_agents) -> MapSuite:
     """The suite of the maps that a name gives, for the paper's robots."""
     source = MapSource.parse(text)
-    config = source.fit(replace(ArenaConfig(), num_agents=num_agents))
+    return suite_of(source, Path(text.partition("?")[0]).name, ArenaConfig(num_agents=num_agents))
+
+
+def suite_of(source: MapSource, name: str, config: ArenaConfig, steps: int = MAP_STEPS) -> MapSuite:
+    """Maps as a suite.
+
+    Args:
+        source: the files, and how they are read.
+        name: of the suite.
+        config: robots, and side of the cells.
+        steps: length of an evaluation.
+    """
+    config = source.fit(config)
     arenas = source.arenas(config, in_order=True)
     content = hashlib.sha256(f"{tuple(arenas.maps.shape)} {source.starts}".encode())
     content.update(arenas.maps.numpy().tobytes())
+    if arenas.places is not None:
+        content.update(arenas.places.numpy().tobytes())
     return MapSuite(
-        name=Path(text.partition("?")[0]).name,
+        name=name,
         version=0,
         config=config,
         make=partial(source.arenas, in_order=True),
         digest=content.hexdigest(),
-        steps=MAP_STEPS,
+        steps=steps,
         num_arenas=len(arenas.maps),
-        text=text,
     )
 
 

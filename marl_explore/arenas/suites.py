@@ -54,8 +54,8 @@ class Suite:
         return f"{self.name}-v{self.version}"
 
     @property
-    def arenas(self) -> str:
-        """What ``ExplorationEnv(arenas=...)`` knows it by."""
+    def arenas(self) -> str | Generator:
+        """What ``ExplorationEnv(arenas=...)`` takes."""
         return self.id
 
     @property

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -34,7 +35,7 @@ class Task:
     """Policies on the same test arenas."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Run folders, policy files, bundled policies or planners."""
+    """Run folders, policy files, bundled policies, planners, or package.module:attribute."""
     arena: ArenaConfig = field(default_factory=ArenaConfig)
     arenas: str = "uniform"
     """A suite, which fixes size and density of the arenas, or everything; or uniform, uniform-v2 or
@@ -87,6 +88,19 @@ def parse_task(
         arenas = file.get("arenas")
     default = kind((), *default_task(named, arenas))
     return parse_words(kind, words, prog, about, file.fill(default) if file else default)
+
+
+def parse_action(
+    actions: Mapping[str, type[Arguments]], words: Sequence[str], prog: str, about: str | None
+) -> Arguments:
+    """As ``parse_options``, for a command whose first word says which options follow."""
+    if not words or words[0] not in actions:
+        parser = argparse.ArgumentParser(
+            prog=prog, description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        parser.add_argument("action", choices=actions, help="each with --help")
+        parser.parse_args(words[:1])  # says what is wrong, or helps, and exits
+    return parse_options(actions[words[0]], words[1:], f"{prog} {words[0]}", about)
 
 
 def parse_words(
@@ -149,12 +163,12 @@ def fitted(arena: ArenaConfig, arenas: str) -> ArenaConfig:
     from marl_explore.arenas import fit, is_source
 
     if is_source(arenas):
-        _warn_of_losses(arenas, arena.cell_size)
+        warn_of_losses(arenas, arena.cell_size)
     return fit(arena, arenas)
 
 
 @lru_cache
-def _warn_of_losses(arenas: str, cell_size: float) -> None:
+def warn_of_losses(arenas: str, cell_size: float) -> None:
     """Say, once, which maps a reading in cells of this size cuts up or opens."""
     from marl_explore.arenas import MapSource
 

@@ -57,7 +57,7 @@ class Arguments:
     robots: int = 4
     """Robots of the team."""
     policy: str = "best"
-    """Bundled policy, run folder, policy file or planner."""
+    """Bundled policy, run folder, policy file, planner, or package.module:attribute."""
     out: Path = Path("explored")
     """New folder for the figure and the page of every map, and results.csv."""
     starts: str = "clustered"

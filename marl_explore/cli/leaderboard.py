@@ -34,9 +34,9 @@ class Arguments:
     """Options of ``marl-explore leaderboard``."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Planners, run folders, policy files or bundled policies; NAME=POLICY,POLICY,... makes one
-    row from several training seeds; bound is a lower bound on the steps of any team; default: all
-    planners and bound."""
+    """Planners, run folders, policy files, bundled policies or package.module:attribute;
+    NAME=POLICY,POLICY,... makes one row from several training seeds; bound is a lower bound on the
+    steps of any team; default: all planners and bound."""
     suites: tuple[str, ...] = ()
     """Suites of arenas, or files and folders of maps; default: all suites that do not bring robots
     of their own."""

@@ -216,12 +216,19 @@ def cells_sent(episodes: Episodes) -> Tensor:
     return (own * episodes.merged).sum(-1).cumsum(-1)
 
 
-def bytes_sent(episodes: Episodes) -> Tensor:
+def bytes_sent(episodes: Episodes, steps: Tensor | None = None) -> Tensor:
     """What all communicate actions send, int64 [B] (bytes): a whole map, two bits per cell.
 
     A robot sends whether or not anyone hears it.
+
+    Args:
+        episodes: B episodes.
+        steps: bool [B, T], the steps to count; None: all.
     """
-    sent = ((episodes.action == COMMUNICATE) & episodes.acting).flatten(1).sum(-1)
+    sending = (episodes.action == COMMUNICATE) & episodes.acting
+    if steps is not None:
+        sending = sending & steps.unsqueeze(-1)
+    sent = sending.flatten(1).sum(-1)
     return sent * -(-episodes.num_cells // CELLS_PER_BYTE)
 
 
@@ -232,10 +239,39 @@ def cells_received(episodes: Episodes) -> Tensor:
 
 def distance_travelled(episodes: Episodes) -> Tensor:
     """Path length of all robots, float64 [B] (metres): D per straight, sqrt(2) D per diagonal."""
-    sides = episodes.position.diff(dim=1).abs().sum(-1).flatten(1)  # 0, 1, or 2 for a diagonal
-    moved, diagonal = (sides > 0).sum(-1), (sides > 1).sum(-1)
-    cells = moved + (2**0.5 - 1) * diagonal.double()
-    return cells * episodes.cell_size
+    moves, diagonal = _moves(episodes)
+    return _length(moves.sum(-1), diagonal.sum(-1), episodes.cell_size)
+
+
+def until_completion(episodes: Episodes) -> Tensor:
+    """Steps up to the first that completed a map, or all steps if none did, bool [B, T]."""
+    known = largest_of_living(episodes.maps.known_targets, episodes.alive)
+    last = steps_to(known, episodes.num_targets, 1.0)
+    return torch.arange(episodes.horizon, device=last.device) < last.unsqueeze(-1)
+
+
+def moves_of_robots(episodes: Episodes) -> Tensor:
+    """Moves that each robot made until some map was complete, int64 [B, N]."""
+    return _moves(episodes, until_completion(episodes))[0]
+
+
+def distance_of_robots(episodes: Episodes) -> Tensor:
+    """Path length of each robot until some map was complete, float64 [B, N] (metres)."""
+    moves, diagonal = _moves(episodes, until_completion(episodes))
+    return _length(moves, diagonal, episodes.cell_size)
+
+
+def _moves(episodes: Episodes, steps: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Moves and, of them, diagonal ones of each robot at the steps to count, int64 [B, N] each."""
+    sides = episodes.position.diff(dim=1).abs().sum(-1)  # 0, 1, or 2 for a diagonal
+    if steps is not None:
+        sides = sides * steps.unsqueeze(-1)
+    return (sides > 0).sum(1), (sides > 1).sum(1)
+
+
+def _length(moves: Tensor, diagonal: Tensor, cell_size: float) -> Tensor:
+    """Length of paths with so many moves, some of them diagonal, float64 (metres)."""
+    return (moves + (2**0.5 - 1) * diagonal.double()) * cell_size
 
 
 def overlap(episodes: Episodes) -> Tensor:
@@ -264,7 +300,7 @@ def per_episode(episodes: Episodes) -> dict[str, Tensor]:
     maps, targets = episodes.maps, episodes.num_targets
     largest = largest_of_living(maps.known_targets, episodes.alive)
     smallest = smallest_of_living(maps.known_targets, episodes.alive)
-    curves = coverage(episodes)
+    curves, distance = coverage(episodes), distance_of_robots(episodes)
     scores: dict[str, Tensor] = {}
     for share in THRESHOLDS:
         percent = round(100 * share)
@@ -281,7 +317,11 @@ def per_episode(episodes: Episodes) -> dict[str, Tensor]:
         "cells_sent": cells_sent(episodes)[:, -1],
         "cells_received": cells_received(episodes),
         "bytes_sent": bytes_sent(episodes),
+        "bytes_until_complete": bytes_sent(episodes, until_completion(episodes)),
         "distance_m": distance_travelled(episodes),
+        "distance_mean_m": distance.mean(-1),
+        "distance_longest_m": distance.amax(-1),
+        "moves_longest": moves_of_robots(episodes).amax(-1),
         "overlap": overlap(episodes),
         "failed_robots": (~episodes.alive[:, -1]).sum(-1),
         "knowledge_lost": episodes.lost_targets / targets.double(),

@@ -1,10 +1,11 @@
-"""Policies by name: planners, bundled policies, policy files and run folders."""
+"""Policies by name: planners, bundled policies, policy files, run folders, and those of others."""
 
 from __future__ import annotations
 
 import math
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.evaluation import outside
 from marl_explore.evaluation.episodes import Actor
 from marl_explore.planners import PLANNERS
 from marl_explore.policies.argmax import ArgmaxPolicy
@@ -17,6 +18,7 @@ ARGMAX = ":argmax"
 def find_policy(name: str, config: ArenaConfig) -> Actor:
     """The policy with a planner's name, or from ``load_policy``, ready to act in ``config``.
 
+    "package.module:attribute" is a policy of another package (``evaluation.outside``).
     Policies sample their actions; with ":argmax" after its name a policy takes the most likely
     action (``ArgmaxPolicy``).
 
@@ -25,6 +27,8 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
     """
     if name in PLANNERS:
         return PLANNERS[name](config)
+    if is_outside(name):
+        return outside.outside_policy(name, config)
     likeliest = name.endswith(ARGMAX)
     try:
         policy = load_policy(name.removesuffix(ARGMAX))
@@ -33,6 +37,11 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
     _require_sensor(policy, config)
     policy.check(config.num_agents, config.fov_size)
     return ArgmaxPolicy(policy) if likeliest else policy
+
+
+def is_outside(name: str) -> bool:
+    """Whether a name is that of a policy of another package."""
+    return outside.NAME.fullmatch(name) is not None and not name.endswith(ARGMAX)
 
 
 def _require_sensor(policy: Policy, config: ArenaConfig) -> None:

@@ -11,9 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
-from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
@@ -23,8 +21,8 @@ from marl_explore.policies.goal_graph import GoalGraph
 from marl_explore.policies.io import require_weights
 from marl_explore.policies.networks import PAPER_INPUTS
 from marl_explore.policies.networks.goals import GoalActor
+from marl_explore.policies.observations import robot_observation as robot_observation
 from marl_explore.policies.policy import Policy
-from marl_explore.robot.observation import Observation
 from marl_explore.robot.policy import FORMAT, save_arrays
 from marl_explore.transforms.goals import Candidates, find_candidates
 from marl_explore.transforms.memory import RememberTeam
@@ -194,43 +192,6 @@ def _graph(actor: nn.Module, arena: ArenaConfig) -> tuple[Any, str]:
     )
     assert program is not None
     return program.model_proto, missing
-
-
-def robot_observation(tensordict: TensorDictBase, arena: int, robot: int) -> Observation:
-    """What one robot observes in a step of an environment, as robots have it.
-
-    Args:
-        tensordict: with the entries of ``ExplorationEnv``, batch [B]; FPR and NET are 0 where it
-            does not have them.
-        arena: index in the batch.
-        robot: its number.
-    """
-    team = tensordict.get("agents")
-
-    def own(key: NestedKey) -> Any:
-        return team.get(key)[arena, robot].numpy()
-
-    cells = [tuple(cell) for cell in team.get("position")[arena].tolist()]
-    empty = {"fpr": (NUM_DIRECTIONS, NUM_FEATURES), "net": (len(cells),)}
-    features = {
-        name: np.zeros(shape, np.float32)
-        if team.get(("observation", name), None) is None
-        else own(("observation", name))
-        for name, shape in empty.items()
-    }
-    return Observation(
-        fov=own(("observation", "fov")),
-        fpr=features["fpr"],
-        net=features["net"],
-        action_mask=own("action_mask"),
-        map=own("map"),
-        position=cells[robot],
-        unshared=own("unshared"),
-        steps_since_merge=own("steps_since_merge"),
-        step=int(tensordict.get("step_count")[arena]),
-        mates={mate: cells[mate] for mate in own("linked").nonzero()[0].tolist() if mate != robot},
-        refused=bool(own("dangerous")),
-    )
 
 
 def example_inputs(arena: ArenaConfig, rows: int, seed: int = 0) -> Sequence[Tensor]:

@@ -118,7 +118,7 @@ def test_a_cell_of_other_settings_is_refused_before_anything_is_measured(tmp_pat
 
 def test_a_cell_of_other_code_is_measured_anew(tmp_path, monkeypatch):
     old = leaderboard.make_cells(tmp_path, [CELL], progress=False)[CELL]
-    monkeypatch.setattr(cells, "source_digest", lambda planner: "other")
+    monkeypatch.setattr(cells, "source_digest", lambda kind: "other")
     monkeypatch.setitem(PLANNERS, CELL.policy, lambda config: RandomWalk())
     new = leaderboard.make_cells(tmp_path, [CELL], progress=False)[CELL]
     assert new["settings"]["code"] == "other"
@@ -141,16 +141,16 @@ def test_the_code_of_a_cell_is_what_it_does_and_not_what_it_says(tmp_path):
     (tmp_path / "kernel.c").write_text("int cost(int x) { return 2 * x; }\n")
     assert digest("def cost(x):\n    return 2 * x\n") != first
     planners, trained = (
-        fingerprint.source_digest(planner=True),
-        fingerprint.source_digest(planner=False),
+        fingerprint.source_digest("planner"),
+        fingerprint.source_digest("trained"),
     )
     assert planners != trained
     assert cells.measure(CELL)["settings"]["code"] == planners
 
 
 def test_no_setting_of_training_is_behind_the_numbers():
-    for planner in (True, False):
-        found = [path.relative_to(fingerprint.PACKAGE) for path in fingerprint.sources(planner)]
+    for kind in fingerprint.PARTS:
+        found = [path.relative_to(fingerprint.PACKAGE) for path in fingerprint.sources(kind)]
         assert all((fingerprint.PACKAGE / path).exists() for path in found)
         assert not any(path.parts[0] == "training" for path in found)
         assert Path("config", "arena.py") in found
@@ -168,9 +168,14 @@ def imported(module):
 
 
 @pytest.mark.parametrize(
-    ("planner", "acting"), [(True, "planners/__init__.py"), (False, "policies/policy.py")]
+    ("kind", "acting"),
+    [
+        ("planner", "planners/__init__.py"),
+        ("trained", "policies/policy.py"),
+        ("outside", "evaluation/outside.py"),
+    ],
 )
-def test_the_fingerprint_covers_every_module_that_numbers_depend_on(planner, acting):
+def test_the_fingerprint_covers_every_module_that_numbers_depend_on(kind, acting):
     todo = [fingerprint.PACKAGE / path for path in (acting, "evaluation/episodes.py")]
     reached = set()
     while todo:
@@ -178,15 +183,16 @@ def test_the_fingerprint_covers_every_module_that_numbers_depend_on(planner, act
         if module not in reached:
             reached.add(module)
             todo += imported(module)
-    covered = fingerprint.sources(planner)
+    covered = fingerprint.sources(kind)
     missing = {
         str(module.relative_to(fingerprint.PACKAGE))
         for module in reached
         if not any(path == module or path in module.parents for path in covered)
     }
-    # arenas have a fingerprint of their own; the others check settings, estimate memory and draw
+    # arenas have a fingerprint of their own, and of robots only the form of observations counts;
+    # the others check settings, estimate memory and draw
     others = {"config/fields.py", "utils/memory.py", "utils/palette.py"}
-    assert {name for name in missing if not name.startswith("arenas/")} <= others
+    assert {name for name in missing if not name.startswith(("arenas/", "robot/"))} <= others
 
 
 def test_the_bound_is_a_reference_without_episodes(tmp_path):

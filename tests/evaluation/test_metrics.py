@@ -265,3 +265,63 @@ def test_actions_of_failed_robots_do_not_count():
 
 def test_every_communicate_action_sends_a_map_of_two_bits_per_cell():
     assert metrics.bytes_sent(hand_made()).tolist() == [2 * 3]
+
+
+# ---------------------------------------------------------------- until some map is complete
+
+
+def slow_ways(episodes):
+    """Moves, metres and bytes of each robot up to the step that completed a map, by plain loops."""
+    for b in range(len(episodes.num_targets)):
+        targets, moves, ways, sent = int(episodes.num_targets[b]), [], [], 0
+        robots = range(episodes.position.shape[2])
+        counts = episodes.maps.known_targets[b].tolist()
+        alive = episodes.alive[b].tolist()
+        done = [
+            any(counts[t][i] == targets and alive[t][i] for i in robots) for t in range(len(counts))
+        ]
+        last = done.index(True) if True in done else episodes.horizon
+        for i in robots:
+            way, count = 0.0, 0
+            for t in range(last):
+                before, after = episodes.position[b, t : t + 2, i].tolist()
+                if before != after:
+                    count += 1
+                    way += math.dist(before, after) * episodes.cell_size
+                if episodes.action[b, t, i] == TALK and alive[t][i]:
+                    sent += math.ceil(episodes.num_cells / 4)
+            moves.append(count)
+            ways.append(way)
+        yield moves, ways, sent
+
+
+@pytest.mark.parametrize("failure_rate", [0.0, 0.02])
+@pytest.mark.parametrize("policy", ["random", "goal-utility"])
+def test_what_is_measured_until_completion_is_what_plain_loops_find(policy, failure_rate):
+    config = ArenaConfig(height=7, width=9, num_agents=3, failure_rate=failure_rate)
+    episodes = record(find_policy(policy, config), config, num_arenas=8, steps=60)
+    scores = metrics.per_episode(episodes)
+    assert policy == "random" or scores["complete"].any()
+    for b, (moves, ways, sent) in enumerate(slow_ways(episodes)):
+        assert metrics.moves_of_robots(episodes)[b].tolist() == moves
+        assert metrics.distance_of_robots(episodes)[b].tolist() == pytest.approx(ways)
+        assert scores["distance_mean_m"][b] == pytest.approx(sum(ways) / 3)
+        assert scores["distance_longest_m"][b] == pytest.approx(max(ways))
+        assert scores["moves_longest"][b] == max(moves)
+        assert scores["bytes_until_complete"][b] == sent
+    assert (scores["distance_mean_m"] * 3 <= scores["distance_m"] + 1e-9).all()
+
+
+def test_ways_and_bytes_end_when_a_map_is_complete():
+    episodes = hand_made()
+    assert metrics.until_completion(episodes).tolist() == [[True, True, True]]
+    early = episodes._replace(num_targets=torch.tensor([4]))  # complete after the first step
+    assert metrics.until_completion(early).tolist() == [[True, False, False]]
+    never = episodes._replace(num_targets=torch.tensor([9]))
+    assert metrics.until_completion(never).tolist() == [[True, True, True]]
+    at_once = episodes._replace(num_targets=torch.tensor([3]))  # known at the reset
+    assert metrics.moves_of_robots(at_once).tolist() == [[0, 0]]
+    for one, sent in ((episodes, 6), (early, 0), (at_once, 0)):
+        assert metrics.per_episode(one)["bytes_until_complete"].tolist() == [sent]
+    assert metrics.distance_of_robots(episodes)[0].tolist() == pytest.approx([0.5, 0.5 * 2**0.5])
+    assert metrics.moves_of_robots(episodes).tolist() == [[1, 1]]

@@ -7,6 +7,7 @@ from tensordict import TensorDict
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core.links import within_range
+from marl_explore.evaluation.knowledge import changed_beyond
 from tests.helpers.boards import ACTIONS, arena, map_cells
 
 
@@ -40,25 +41,9 @@ def names(action):
     return [ACTIONS[index] for index in action.flatten().tolist()]
 
 
-def beyond_robot_0(step, config):
+def beyond_robot_0(step):
     """An observation in which all that robot 0 cannot know is different.
 
-    That is the truth, the others' maps and memories, their links and failures, what will happen,
-    people, and where robots are to which it is not linked: in the corner farthest from it. Also
-    returns how many of those there are.
+    Also returns how many robots are where it cannot know.
     """
-    changed = step.clone()
-    changed["obstacles"] = ~changed["obstacles"]
-    changed["draw_key"] += 1
-    if config.num_walkers:
-        changed["walkers"] = torch.zeros_like(changed["walkers"])
-    for key in ("map", "steps_since_merge", "unshared", "dangerous", "merged"):
-        changed["agents", key][:, 1:] = 0
-    for key in ("alive", "linked"):
-        changed["agents", key][:, 1:] = ~changed["agents", key][:, 1:]
-    position = changed["agents", "position"]
-    far = ~changed["agents", "linked"][:, 0]
-    last = torch.tensor([config.height - 1, config.width - 1])
-    hiding = torch.where(2 * position[:, :1] < last + 1, last, 0).expand_as(position)
-    position[far] = hiding[far]
-    return changed, int(far.sum())
+    return changed_beyond(step, robot=0), int((~step["agents", "linked"][:, 0]).sum())

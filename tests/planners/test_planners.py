@@ -210,7 +210,7 @@ def test_a_robot_decides_by_what_it_can_know(name, world):
     for step in history.unbind(1):
         torch.manual_seed(1)
         action = planner(step.clone())["agents", "action"][:, 0]
-        changed, hidden = beyond_robot_0(step, config)
+        changed, hidden = beyond_robot_0(step)
         moved += hidden
         torch.manual_seed(1)
         assert ignorant(changed)["agents", "action"][:, 0].equal(action), name

@@ -19,9 +19,9 @@ from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.evaluation import metrics
 from marl_explore.evaluation.episodes import TEST_STREAM, record, require_recording
 from marl_explore.evaluation.leaderboard.entries import BOUND
-from marl_explore.evaluation.leaderboard.fingerprint import source_digest
+from marl_explore.evaluation.leaderboard.fingerprint import Kind, outside_digest, source_digest
 from marl_explore.evaluation.metrics import Episodes
-from marl_explore.evaluation.registry import ARGMAX, find_policy
+from marl_explore.evaluation.registry import ARGMAX, find_policy, is_outside
 from marl_explore.evaluation.stats import middle_half
 from marl_explore.planners import PLANNERS, counting_bound
 from marl_explore.policies.io import policy_digest
@@ -53,8 +53,8 @@ class Cell:
         return {
             "format": FORMAT,
             "policy": self.policy,
-            "weights": policy_digest(self.policy.removesuffix(ARGMAX)) if self.trained else None,
-            "code": source_digest(planner=not self.trained),
+            "weights": self._weights,
+            "code": self._code,
             "suite": self.suite.id,
             "fingerprint": self.suite.digest,
             "arena": json.loads(json.dumps(asdict(self.suite.config))),  # tuples become lists
@@ -65,9 +65,21 @@ class Cell:
         }
 
     @property
-    def trained(self) -> bool:
-        """Whether the policy was trained and is not a planner."""
-        return self.policy not in (*PLANNERS, BOUND)
+    def kind(self) -> Kind:
+        """Who made the policy; the bound is a planner's."""
+        if is_outside(self.policy):
+            return "outside"
+        return "planner" if self.policy in (*PLANNERS, BOUND) else "trained"
+
+    @property
+    def _weights(self) -> str | None:
+        trained = self.kind == "trained"
+        return policy_digest(self.policy.removesuffix(ARGMAX)) if trained else None
+
+    @property
+    def _code(self) -> str:
+        outside = self.kind == "outside"
+        return outside_digest(self.policy) if outside else source_digest(self.kind)
 
     @property
     def file_name(self) -> str:

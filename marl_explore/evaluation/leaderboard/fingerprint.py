@@ -6,6 +6,12 @@ import ast
 import hashlib
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
+
+from marl_explore.evaluation.outside import package_files
+
+Kind = Literal["planner", "trained", "outside"]
+"""Of a policy; "outside" are those of other packages."""
 
 PACKAGE = Path(__file__).parents[2]
 RULES = (
@@ -34,21 +40,41 @@ ACTING = (
     "policies/policy.py",
     "policies/stacking.py",
 )
-"""Modules of planners and of trained policies, in addition to the rules and the measures."""
+OBSERVING = (
+    "evaluation/outside.py",
+    "policies/observations.py",
+    "robot/observation.py",
+    "transforms",
+    "utils/chance.py",
+)
+"""Modules of planners, of trained policies and of those of other packages, in addition to the rules
+and the measures."""
 
 
-def sources(planner: bool) -> list[Path]:
-    """The code behind a planner's or a trained policy's numbers: modules, and folders of them."""
-    return [PACKAGE / part for part in (*RULES, *(PLANNING if planner else ACTING))]
+PARTS: dict[Kind, tuple[str, ...]] = {
+    "planner": PLANNING,
+    "trained": ACTING,
+    "outside": OBSERVING,
+}
+
+
+def sources(kind: Kind) -> list[Path]:
+    """The code of this package behind a policy's numbers: modules, and folders of them."""
+    return [PACKAGE / part for part in (*RULES, *PARTS[kind])]
 
 
 @lru_cache
-def source_digest(planner: bool) -> str:
+def source_digest(kind: Kind) -> str:
     """SHA-256 of ``sources``, whatever their comments, docstrings and layout say.
 
     Of arenas a suite has its own fingerprint.
     """
-    return digest(sources(planner))
+    return digest(sources(kind))
+
+
+def outside_digest(policy: str) -> str:
+    """As ``source_digest``, of a policy of another package: also of the code of that package."""
+    return digest([*sources("outside"), *package_files(policy)])
 
 
 def digest(paths: list[Path]) -> str:
@@ -62,8 +88,13 @@ def digest(paths: list[Path]) -> str:
 
 
 def _source(file: Path) -> str:
-    text = file.read_text(encoding="utf-8")
-    return _statements(text) if file.suffix == ".py" else text
+    text = file.read_text(encoding="utf-8", errors="replace")
+    if file.suffix != ".py":
+        return text
+    try:
+        return _statements(text)
+    except SyntaxError:  # a file of another package that nobody imports
+        return text
 
 
 def _statements(source: str) -> str:

@@ -14,11 +14,14 @@ from marl_explore.utils import tables
 from marl_explore.utils.files import atomic_write, write_text
 
 
-def _plain(measure: str) -> Callable[[Row], str]:
+def plain(measure: str) -> Callable[[Row], str]:
+    """A column of a measure."""
     return lambda row: tables.number(row.measures.get(measure, math.nan))
 
 
-def _interval(measure: str, sign: str = "") -> Callable[[Row], str]:
+def with_interval(measure: str, sign: str = "") -> Callable[[Row], str]:
+    """A column of a measure and its interval; with the sign "+" positive numbers have theirs."""
+
     def cell(row: Row) -> str:
         value, low, high = (row.measures[measure + end] for end in ("", "_low", "_high"))
         return tables.estimate(value, low, high, sign)
@@ -26,21 +29,24 @@ def _interval(measure: str, sign: str = "") -> Callable[[Row], str]:
     return cell
 
 
-COLUMNS: dict[str, Callable[[Row], str]] = {
+Columns = Mapping[str, Callable[[Row], str]]
+"""What a table shows of a row, by the title of the column."""
+
+COLUMNS: Columns = {
     "policy": lambda row: row.name,
     "sees": lambda row: row.sees,
-    "steps to 95 %": _plain("steps_to_95"),
-    "steps to 100 %": _interval("steps_to_100"),
-    "p90": _plain("steps_to_100_p90"),
-    "complete": _plain("complete"),
-    "finishable": _plain("finishable"),
-    "coverage at 20": _plain("coverage_at_20"),
-    "at 50": _plain("coverage_at_50"),
-    "at 150": _plain("coverage_at_150"),
-    "communicate": _plain("communication_share_before_completion"),
-    "useful": _plain("useful_share"),
-    "overlap": _plain("overlap"),
-    "to best planner": _interval("difference", sign="+"),
+    "steps to 95 %": plain("steps_to_95"),
+    "steps to 100 %": with_interval("steps_to_100"),
+    "p90": plain("steps_to_100_p90"),
+    "complete": plain("complete"),
+    "finishable": plain("finishable"),
+    "coverage at 20": plain("coverage_at_20"),
+    "at 50": plain("coverage_at_50"),
+    "at 150": plain("coverage_at_150"),
+    "communicate": plain("communication_share_before_completion"),
+    "useful": plain("useful_share"),
+    "overlap": plain("overlap"),
+    "to best planner": with_interval("difference", sign="+"),
 }
 """Columns of the printed table; the CSV and JSON files hold every measure."""
 
@@ -65,46 +71,59 @@ MEANINGS = {
 """The meanings of the columns."""
 
 
-def columns(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
+def columns(rows: Sequence[Row], shown: Columns = COLUMNS) -> Columns:
     """The columns of a suite: without the share of finishable arenas where no robot failed."""
     fail = any(row.measures.get("failed_robots", 0) > 0 for row in rows)
-    return {name: cell for name, cell in COLUMNS.items() if fail or name != "finishable"}
+    return {name: cell for name, cell in shown.items() if fail or name != "finishable"}
 
 
-def blocks(rows: Sequence[Row]) -> list[list[list[str]]]:
+def blocks(rows: Sequence[Row], shown: Columns = COLUMNS) -> list[list[list[str]]]:
     """The table cells: first the competing rows, then the references."""
-    shown = columns(rows).values()
+    cells = columns(rows, shown).values()
     groups = ([row for row in rows if row.reference is reference] for reference in (False, True))
-    return [[[cell(row) for cell in shown] for row in group] for group in groups if group]
+    return [[[cell(row) for cell in cells] for row in group] for group in groups if group]
 
 
-def format_text(boards: Sequence[Sequence[Row]]) -> str:
+def format_text(boards: Sequence[Sequence[Row]], shown: Columns = COLUMNS) -> str:
     """All suites as text."""
     return "\n\n".join(
-        f"{title(rows)}\n\n{tables.text([*columns(rows)], *blocks(rows))}\n" for rows in boards
+        f"{title(rows)}\n\n{tables.text([*columns(rows, shown)], *blocks(rows, shown))}\n"
+        for rows in boards
     )
 
 
-def format_markdown(boards: Sequence[Sequence[Row]]) -> str:
+def format_markdown(
+    boards: Sequence[Sequence[Row]],
+    shown: Columns = COLUMNS,
+    meanings: Mapping[str, str] = MEANINGS,
+) -> str:
     """All suites as Markdown."""
     suites = []
     for rows in boards:
-        table = tables.markdown([*columns(rows)], *blocks(rows))
+        table = tables.markdown([*columns(rows, shown)], *blocks(rows, shown))
         suites.append(f"## {title(rows)}\n\n{table}\n")
-    meanings = (f"- **{name}**: {meaning}\n" for name, meaning in MEANINGS.items())
-    return "\n".join((*suites, "".join(meanings)))
+    told = (f"- **{name}**: {meaning}\n" for name, meaning in meanings.items())
+    return "\n".join((*suites, "".join(told)))
 
 
-def write_tables(folder: Path, boards: Sequence[Sequence[Row]], record: Mapping[str, Any]) -> None:
+def write_tables(
+    folder: Path,
+    boards: Sequence[Sequence[Row]],
+    record: Mapping[str, Any],
+    shown: Columns = COLUMNS,
+    meanings: Mapping[str, str] = MEANINGS,
+) -> None:
     """Write table.txt, table.md, table.csv and table.json.
 
     Args:
         folder: where.
         boards: the rows of each suite.
         record: about the run, kept in table.json.
+        shown: columns of the first two.
+        meanings: of the columns.
     """
-    write_text(folder / "table.txt", format_text(boards))
-    write_text(folder / "table.md", format_markdown(boards))
+    write_text(folder / "table.txt", format_text(boards, shown))
+    write_text(folder / "table.md", format_markdown(boards, shown, meanings))
     records = [_record(row) for rows in boards for row in rows]
     content = {"rows": records, "run": record}
     write_text(folder / "table.json", json.dumps(content, indent=2, default=str) + "\n")

@@ -1,0 +1,3 @@
+"""A module with a fault."""
+
+raise KeyError(7)
