@@ -6,7 +6,12 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
-from marl_explore.config.checks import require_positive
+from marl_explore.config.checks import require, require_positive
+
+_PERIODS = 0.01, 86_400.0
+"""Shortest and longest period of a tick (seconds)."""
+_LATEST_START = 1e10
+"""Larger times are not of this century: ticks fit into messages (seconds)."""
 
 
 class Clock(Protocol):
@@ -16,7 +21,13 @@ class Clock(Protocol):
     """Whether robots tell each other that they have finished a tick."""
 
     def tick(self, now: float) -> int:
-        """The tick at a time (seconds), which never decreases; -1 before the first."""
+        """The tick at a time (seconds); -1 before the first.
+
+        It decreases only when the time is set back; robots then wait for the tick after their own.
+        """
+
+    def begins(self, tick: int) -> float | None:
+        """When a tick begins (seconds); None if that depends on the robots."""
 
     def report(self, robot: int, tick: int, now: float) -> None:
         """Report that a robot has finished a tick."""
@@ -32,17 +43,29 @@ class PeriodClock:
     Args:
         period: length of a tick (seconds).
         start: when tick 0 begins (seconds).
+
+    Raises:
+        ValueError: for a period that is no tick's, or a start that is no time.
     """
 
     announces = False
 
     def __init__(self, period: float, start: float = 0.0) -> None:
         require_positive("period", period, "seconds")
+        shortest, longest = _PERIODS
+        allowed = f"it must be from {shortest:g} to {longest:g} seconds"
+        require(shortest <= period <= longest, "period", period, allowed)
+        allowed = f"it must be at most {_LATEST_START:g} seconds"
+        require(abs(start) <= _LATEST_START, "start", start, allowed)
         self.period, self.start = period, start
 
     def tick(self, now: float) -> int:
         """The tick at a time (seconds)."""
         return max(-1, math.floor((now - self.start) / self.period))
+
+    def begins(self, tick: int) -> float:
+        """When a tick begins (seconds)."""
+        return self.start + tick * self.period
 
     def report(self, robot: int, tick: int, now: float) -> None:
         """Does nothing: no robot is waited for."""
@@ -84,6 +107,9 @@ class BarrierClock:
         elif latest == self._tick and not self.waited_for:
             self._begin(self._tick + 1, now)
         return self._tick
+
+    def begins(self, tick: int) -> None:
+        """None: that depends on the robots."""
 
     def report(self, robot: int, tick: int, now: float) -> None:
         """Report that a robot has finished a tick; a robot that was silent is waited for again."""

@@ -44,7 +44,8 @@ class Drive:
     clearance: float = 0.33
     """The robot waits while another robot ahead is nearer than this (metres)."""
     radius: float = 0.105
-    """Of the robot itself (metres)."""
+    """Of the robot itself (metres): what must fit through. ``BeamModel.robot_radius`` is how far
+    from a robot's pose its returns may be: its body and the errors of poses and ranges."""
     margin: float = 0.03
     """The robot stops before what its scan shows nearer than this to its body's way (metres)."""
 
@@ -85,16 +86,17 @@ class Drive:
         east, north = goal[0] - pose.x, goal[1] - pose.y
         error = wrapped(math.atan2(north, east) - pose.yaw)
         turn = max(-self.max_turn, min(self.max_turn, self.turn_gain * error))
-        if blocked or abs(error) > self.heading_tolerance or self._is_blocked(pose, others):
+        if blocked or abs(error) > self.heading_tolerance or self.ahead(pose, others):
             return Velocity(0.0, turn)
         distance = math.hypot(east, north)
         forward = min(self.forward_gain * distance, self.max_forward)
         return Velocity(forward * math.cos(error), turn)
 
-    def _is_blocked(self, pose: Pose, others: Iterable[Pose]) -> bool:
-        for other in others:
-            east, north = other.x - pose.x, other.y - pose.y
-            ahead = east * math.cos(pose.yaw) + north * math.sin(pose.yaw)
-            if ahead > 0 and math.hypot(east, north) < self.clearance:
-                return True
-        return False
+    def ahead(self, pose: Pose, others: Iterable[Pose]) -> set[int]:
+        """The robots ahead of a pose that are so near that it waits for them."""
+        return {other.robot for other in others if self._is_ahead(pose, other)}
+
+    def _is_ahead(self, pose: Pose, other: Pose) -> bool:
+        east, north = other.x - pose.x, other.y - pose.y
+        ahead = east * math.cos(pose.yaw) + north * math.sin(pose.yaw)
+        return ahead > 0 and math.hypot(east, north) < self.clearance

@@ -25,7 +25,8 @@ class Guard:
 
     def __init__(self, drive: Drive, beams: BeamModel) -> None:
         self.drive, self.beams = drive, beams
-        self._scan: Scan | None = None
+        self.scan: Scan | None = None
+        """The last one that was taken."""
         self._points: Floats = np.empty((0, 2))
 
     def look(self, scan: Scan, pose: Pose, robots: Iterable[Disc]) -> None:
@@ -34,10 +35,9 @@ class Guard:
         Args:
             scan: one turn of the lidar.
             pose: of the robot, when the scan was taken.
-            robots: where the others were, or may have been.
+            robots: where the others were whose poses are known.
         """
-        if scan is not self._scan:
-            self._scan, self._points = scan, returns(scan, pose, robots, self.beams)
+        self.scan, self._points = scan, returns(scan, pose, robots, self.beams)
 
     def is_blocked(self, pose: Pose, goal: tuple[float, float]) -> bool:
         """Whether something is in the way from a robot's pose to its goal, (x, y) in metres."""

@@ -96,6 +96,8 @@ class JumpGuard:
         last, self._last = self._last, pose
         if last is None:
             return
+        if self._jump is not None:  # clocks can be set back
+            self._jump = self._jump._replace(stamp=min(self._jump.stamp, pose.stamp))
         seconds = max(pose.stamp - last.stamp, 0.0)
         distance = math.hypot(pose.x - last.x, pose.y - last.y)
         turn = abs(wrapped(pose.yaw - last.yaw))

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from typing import Any
 
 from marl_explore.robot.evidence import Evidence
 from marl_explore.robot.messages import Envelope, Intent, Message, Share
 
 KEPT_TICKS = 8
 """How long messages are kept (ticks)."""
+_MOST_KEPT = 64
+"""Of how many ticks messages are kept: robots with another tick may be far ahead (ticks)."""
 
 
 class Mailbox:
@@ -37,9 +40,11 @@ class Mailbox:
         message = envelope.message
         if isinstance(message, Intent):
             self._intents[message.tick][message.robot] = message
+            _forget_first(self._intents)
         elif isinstance(message, Share) and message.robot != self.robot:
             shares = self._shares[message.tick]
             shares.setdefault(message.robot, (envelope.sender, message))
+            _forget_first(self._shares)
             if message.tick > self._newest.get(message.robot, -1):  # a map holds all before it
                 self._newest[message.robot] = message.tick
                 self._new[message.robot] = message.evidence
@@ -92,3 +97,9 @@ class Mailbox:
             for old in [t for t in letters if t < last]:
                 del letters[old]
         self._passed -= {key for key in self._passed if key[0] < last}
+
+
+def _forget_first(letters: dict[int, Any]) -> None:
+    """Drop the ticks that were heard of first, while there are too many."""
+    while len(letters) > _MOST_KEPT:
+        del letters[next(iter(letters))]

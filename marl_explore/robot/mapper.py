@@ -192,9 +192,9 @@ def _decide(
     clear = ~((outside < model.tolerance) & ~holds & ~free[:, None]).any(0)
     in_the_open = (holds & free[:, None]).any(0)  # no box, so it may be in both cells
     hits = ((holds | ((outside < 0) & in_the_open)) & clear).sum(-1)
-    deep = (outside < -model.margin).sum(-1)
+    deep = (outside < -model.margin).any(-1)  # a thin pole may return a single beam
     seen = np.full(len(centres), UNKNOWN, np.int8)
-    seen[free & (2 * hits < model.votes) & (deep < model.votes)] = FREE
+    seen[free & (2 * hits < model.votes) & ~deep] = FREE
     seen[hits >= model.votes] = OCCUPIED
     return seen
 

@@ -17,6 +17,11 @@ from marl_explore.robot.packing import pack, unpack
 
 MOST_TICKS = 2**53
 """Largest tick of a message; no clock of a robot gets there."""
+MOST_AHEAD = 2**42
+"""How far a message may be ahead of its receiver (ticks): a robot that joins a wrong tick of
+another one stays far below ``MOST_TICKS``, and its own messages are taken."""
+_FARTHEST = 1e6
+"""Largest coordinate of a pose: arenas are far smaller, and numbers stay exact (metres)."""
 
 
 def _require_finite(measured: Pose | Scan, *names: str) -> None:
@@ -41,12 +46,18 @@ class Pose:
     """Heading, 0 to the east, counter-clockwise (radians)."""
 
     def check(self) -> None:
-        """Raise an error for numbers that are not finite.
+        """Raise an error for numbers that are not finite, and for places that are in no arena.
 
         Raises:
             ValueError: naming the field and its value.
         """
         _require_finite(self, "stamp", "x", "y", "yaw")
+        for name in ("x", "y"):
+            if abs(getattr(self, name)) > _FARTHEST:
+                raise ValueError(
+                    f"{name}={getattr(self, name)!r} is not allowed: a robot is at most "
+                    f"{_FARTHEST:g} m from the arena's middle"
+                )
 
     def of_sensor(self, mount: Mount) -> Pose:
         """The pose of a sensor on the robot."""
@@ -249,13 +260,14 @@ class Envelope:
             raise ValueError(f"these {len(data)} bytes are not a message, or damaged: the CRC-32")
         return cls(told[0], (receiver,), decode(told[1:]))
 
-    def check(self, receiver: int, robots: int, shape: tuple[int, int]) -> None:
-        """Raise an error for a message that cannot come from the team.
+    def check(self, receiver: int, robots: int, shape: tuple[int, int], tick: int = -1) -> None:
+        """Raise an error for a message that cannot come from the team, or is for another robot.
 
         Args:
             receiver: who got it.
             robots: size of the team, N.
             shape: of its maps, [H, W].
+            tick: the receiver's.
 
         Raises:
             ValueError: naming what does not fit.
@@ -265,13 +277,18 @@ class Envelope:
             require_robot(number, robots, "a message")
         if self.sender == receiver:
             raise ValueError(f"a message of robot {receiver} to itself is not allowed")
+        if receiver not in self.to:
+            raise ValueError(
+                f"a message to robots {self.to} is not allowed: this is robot {receiver}"
+            )
         if not isinstance(message, Share) and message.robot != self.sender:
             raise ValueError(
                 f"{type(message).__name__} of robot {message.robot} is not allowed: robot "
                 f"{self.sender} sent it, and only maps are passed on"
             )
-        if not 0 <= message.tick <= MOST_TICKS:
-            raise ValueError(f"tick={message.tick} is not allowed: 0 to {MOST_TICKS}")
+        latest = min(tick + MOST_AHEAD, MOST_TICKS)
+        if not 0 <= message.tick <= latest:
+            raise ValueError(f"tick={message.tick} is not allowed: 0 to {latest}")
         if isinstance(message, Share) and message.map.shape != shape:
             raise ValueError(
                 f"a map of shape {message.map.shape} is not allowed: the arena's is {shape}"

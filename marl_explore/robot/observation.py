@@ -171,9 +171,16 @@ def _action_mask(
     return mask
 
 
-def complete(observation: Observation) -> bool:
-    """Whether no free cell that the robot can reach, its own included, borders an unknown one."""
-    grid, (row, column) = observation.map, observation.position
+def complete(grid: Map, cell: GridCell) -> bool:
+    """Whether no free cell that a robot can reach, its own included, borders an unknown one.
+
+    Args:
+        grid: its map, int8 [H, W].
+        cell: its own.
+    """
+    row, column = cell
     beside = grid[max(row - 1, 0) : row + 2, column], grid[row, max(column - 1, 0) : column + 2]
-    others_do = observation.fpr[:, 0].any()  # frontiers in all directions, without the own cell
+    others_do = feature_table(grid, cell, None)[
+        :, 0
+    ].any()  # frontiers in all directions, without the own cell
     return not others_do and all((codes != UNKNOWN).all() for codes in beside)

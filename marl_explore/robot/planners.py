@@ -51,6 +51,23 @@ class RobotPlanner(ABC):
         self.robot, self.config = robot, config
         self._chance = np.random.default_rng([seed, robot])
 
+    def check(self, robots: int, fov_size: int) -> None:
+        """Raise an error for another team or sensor than the planner is for.
+
+        Args:
+            robots: size of the team.
+            fov_size: side of the field of view (cells).
+
+        Raises:
+            ValueError: naming both.
+        """
+        mine = self.config.num_agents, self.config.fov_size
+        if (robots, fov_size) != mine:
+            raise ValueError(
+                f"the planner is for num_agents={mine[0]} and {mine[1]} x {mine[1]} cells in view, "
+                f"not for {robots} and {fov_size} x {fov_size}"
+            )
+
     @abstractmethod
     def plan(self, observed: Observation) -> int:
         """The wanted action: a move, STAY or COMMUNICATE."""

@@ -55,6 +55,7 @@ class ExportedPolicy:
     """
 
     def __init__(self, path: str | Path, robot: int, sample: bool = True, seed: int = 0) -> None:
+        self.robot = robot
         self.spec, weights = _read(Path(path))
         self.arena = ArenaConfig(**self.spec["arena"])
         self.fpr: Normalization | None = self.spec["fpr"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.constants import (
@@ -17,6 +19,7 @@ from marl_explore.robot.agreement import Way, agree, target
 from marl_explore.robot.clock import Clock
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Disc, Frame, GridCell
+from marl_explore.robot.goal_actor import give_way
 from marl_explore.robot.goals import uses_kernel
 from marl_explore.robot.guard import Guard
 from marl_explore.robot.jumps import JumpGuard
@@ -33,14 +36,26 @@ from marl_explore.robot.messages import (
     require_robot,
 )
 from marl_explore.robot.observation import Observation, complete, in_reach, observe, sides_of
-from marl_explore.robot.policy import ExportedPolicy
 from marl_explore.robot.sensors import FutureStampError, Sensors
 from marl_explore.robot.settings import RobotSettings
-from marl_explore.robot.status import Reason, Status, status_of
+from marl_explore.robot.status import Reason, Status, named, status_of
 from marl_explore.robot.ways import step_aside
 from marl_explore.robot.wheels import Wheels
 
 Policy = Callable[[Observation], int]
+
+
+@runtime_checkable
+class Bound(Protocol):
+    """A policy that is for one robot of one kind of team."""
+
+    robot: int
+    """Whose policy it is."""
+
+    def check(self, robots: int, fov_size: int) -> None:
+        """Raise a ``ValueError`` for another size of the team or of the field of view (cells)."""
+
+
 CONTENTION_CELLS = 8.0
 """Largest squared distance of two robots whose moves can have the same target (cells)."""
 _APART_CELLS = 2
@@ -65,12 +80,14 @@ class RobotCore:
         config: the arena, its robots and ranges.
         policy: ``Observation`` in, action out, such as ``ExportedPolicy``.
         clock: the team's shared clock.
-        fpr: normalisation of the frontier table.
+        fpr: normalisation of the frontier table; "policy": as the policy's ``fpr`` has it, or
+            "relative" for one that has none.
         settings: timeouts, drive and sensor model.
 
     Raises:
         ValueError: when the communication range is less than 2 sqrt(2) cells: robots that could
-            collide would not hear each other; and for a policy for another team or field of view.
+            collide would not hear each other; and for the policy of another robot, or for another
+            team or field of view.
     """
 
     def __init__(
@@ -79,13 +96,17 @@ class RobotCore:
         config: ArenaConfig,
         policy: Policy,
         clock: Clock,
-        fpr: Normalization | None = "relative",
+        fpr: Normalization | Literal["policy"] | None = "policy",
         settings: RobotSettings | None = None,
     ) -> None:
         if not 0 <= robot < config.num_agents:
             raise ValueError(f"robot={robot!r} is not allowed: 0 to {config.num_agents - 1}")
-        if isinstance(policy, ExportedPolicy):
+        if isinstance(policy, Bound):
             policy.check(config.num_agents, config.fov_size)
+            if policy.robot != robot:
+                raise ValueError(
+                    f"robot={robot!r} is not allowed: the policy is that of robot {policy.robot}"
+                )
         config.require_as_in_paper("the settings are for a robot")
         if config.reach_cells(robot, robot) ** 2 < CONTENTION_CELLS:
             raise ValueError(
@@ -93,7 +114,9 @@ class RobotCore:
                 f"on moves within 2 sqrt(2) cells, {8**0.5 * config.cell_size:.4g} m"
             )
         self.robot, self.config, self.policy, self.clock = robot, config, policy, clock
-        self.fpr = fpr
+        self.fpr: Normalization | None = (
+            getattr(policy, "fpr", "relative") if fpr == "policy" else fpr
+        )
         self.settings = settings or RobotSettings()
         self.frame = Frame.of(config)
         evidence, limits = self.settings.evidence, self.settings.merging
@@ -108,6 +131,10 @@ class RobotCore:
         """The observation of the last tick with sensing."""
         self.action = STAY
         """The action of the last tick with a decision."""
+        self.is_complete = False
+        """Whether its map had no reachable frontier in that tick; shut cells count as free."""
+        self.refusal: str | None = None
+        """Why its last decision was a move that it does not make, for people."""
         self.status = Status(Reason.NO_POSE, "no pose has arrived yet")
         """What the robot did at the last call of ``advance``, or why it stood still."""
         self._phase: Callable[[float], bool] = self._begin
@@ -120,9 +147,10 @@ class RobotCore:
         self._intents: dict[int, Intent] = {}
         self._legs: list[GridCell] = []
         self._passed: list[GridCell] = []
-        self._shut: dict[GridCell, int] = {}
+        self._shut: dict[GridCell, float] = {}
+        self._chance = np.random.default_rng(robot)
         self.refused_stamp: tuple[float, str] | None = None
-        """When data of another clock were last refused (seconds), and why."""
+        """When its own data of another clock were last refused (seconds), and why."""
 
     @property
     def is_sensing(self) -> bool:
@@ -130,9 +158,9 @@ class RobotCore:
         return self._phase == self._sense
 
     @property
-    def is_complete(self) -> bool:
-        """Whether its map has no reachable frontier."""
-        return self.observation is not None and complete(self.observation)
+    def is_between_ticks(self) -> bool:
+        """Whether the robot waits for the next tick."""
+        return self._phase == self._begin
 
     def receive(self, event: Scan | Pose | Envelope, now: float) -> None:
         """Take a measurement or another robot's message, in any order, also late.
@@ -149,7 +177,8 @@ class RobotCore:
             if self.sensors.pose and event.robot == self.robot:
                 self.jumps.add(self.sensors.pose)
         else:
-            event.check(self.robot, self.config.num_agents, (self.config.height, self.config.width))
+            shape = self.config.height, self.config.width
+            event.check(self.robot, self.config.num_agents, shape, self.tick)
             if isinstance(event.message, Intent):
                 self._check_place(event.message, now)
             self._silent.discard(event.sender)
@@ -165,7 +194,10 @@ class RobotCore:
             else:
                 self.sensors.add_pose(event, now)
         except FutureStampError as error:
-            self.refused_stamp = now, str(error)
+            if isinstance(event, Scan):
+                self.refused_stamp = now, f"its scan's {error}"
+            elif event.robot == self.robot:
+                self.refused_stamp = now, f"its pose's {error}"
             raise
 
     def _check_place(self, intent: Intent, now: float) -> None:
@@ -226,12 +258,20 @@ class RobotCore:
         self._look(scan, own, poses.values())
         self._merge()
         refused = self._was_refused(cell)
-        self._shut = {place: until for place, until in self._shut.items() if until > self.tick}
+        self._open(now)
         self._reach = in_reach(self.robot, cells, self.config)
         about = self.tick, refused, self._shut, self._silent
         self.observation = observe(self.knowledge, cells, self.config, self.fpr, *about)
+        self.is_complete = complete(self.knowledge.map, cell)
+        if self.is_complete or not self._shut:
+            self.wheels.forget()
         self._decide(self.observation, now)
         return True
+
+    def _open(self, now: float) -> None:
+        """Count cells as free again that have been shut for long enough."""
+        longest = now + self.settings.shut_seconds  # clocks can be set back
+        self._shut = {place: min(t, longest) for place, t in self._shut.items() if t > now}
 
     def _look(self, scan: Scan, own: Pose, others: Iterable[Pose]) -> None:
         """Write what the robot sees into its map, unless its pose has jumped to a wrong place."""
@@ -257,16 +297,16 @@ class RobotCore:
         self.knowledge.merge(self.mail.take_new(), self.tick)
 
     def _decide(self, observation: Observation, now: float) -> None:
-        self.action, allowed = self._choose(observation)
+        self.action, allowed = self._choose(observation, now)
         sides = sides_of(observation, self.config, allowed)
         intent = Intent(self.robot, self.tick, observation.position, allowed, *sides)
         self._intents = {self.robot: intent}
         self.mail.send(intent, self._reach)
         self._since, self._phase = now, self._agree
 
-    def _choose(self, observation: Observation) -> tuple[int, int]:
+    def _choose(self, observation: Observation, now: float) -> tuple[int, int]:
         """The policy's action, and the one that is made: STAY where it is not allowed."""
-        parked = self.settings.stop_when_complete and complete(observation)
+        parked = self.settings.stop_when_complete and self.is_complete
         mask = observation.action_mask.copy()
         if parked:
             mask[:NUM_DIRECTIONS] = False
@@ -274,8 +314,9 @@ class RobotCore:
         if not 0 <= action < NUM_ACTIONS:
             raise ValueError(f"the policy's action {action!r} is not one of 0 to 9")
         if parked and action != COMMUNICATE:
-            action = step_aside(observation.map, observation.position, self._held_cells())
-            mask = observation.action_mask
+            mask, held = observation.action_mask, self._held_cells(now)
+            aside = step_aside(observation.map, observation.position, held)
+            action = give_way(aside, mask, observation.refused, self._chance)
         return action, action if mask[action] else STAY
 
     def _agree(self, now: float) -> bool:
@@ -290,12 +331,13 @@ class RobotCore:
         self._silent = missing
         own = self._intents[self.robot]
         still = {
-            robot: Intent(robot, self.tick, cell, STAY)
-            for robot, cell in self.sensors.last_cells(self.frame).items()
+            pose.robot: Intent(pose.robot, self.tick, self.frame.cell(pose.x, pose.y), STAY)
+            for pose in self._heard(now)
         }
         self._intents = {**still, **heard, self.robot: own}
         self._ways = agree(self._intents)
         self._legs, self._passed = list(self._ways[self.robot].cells), [own.cell]
+        self.refusal = None if self._legs or self.action >= STAY else self._why_refused()
         self._since, self._phase = now, self._wait_turn
         if own.action == COMMUNICATE:
             talking = {robot for robot, other in heard.items() if other.action == COMMUNICATE}
@@ -303,6 +345,17 @@ class RobotCore:
             self.mail.send(Share(self.robot, self.tick, self.knowledge.evidence), talking)
             self._phase = self._exchange
         return True
+
+    def _why_refused(self) -> str:
+        start = self._intents[self.robot].cell
+        goal = target(Intent(self.robot, self.tick, start, self.action))
+        rivals = {
+            robot
+            for robot, other in self._intents.items()
+            if robot != self.robot and goal in (other.cell, target(other))
+        }
+        whose = f" because of {named(rivals)}" if rivals else ""
+        return f"its move to cell {goal} was refused{whose}"
 
     def _is_patient(self, now: float) -> bool:
         """Whether to keep waiting for messages of this tick."""
@@ -320,7 +373,7 @@ class RobotCore:
     def _wait_turn(self, now: float) -> bool:
         if all(self._has_arrived(other) for other in self._ways[self.robot].after):
             self._since, self._phase = now, self._drive
-            self.wheels.start(now)
+            self.wheels.start()
             return True
         if now - self._since > self.settings.lock_expiry or self._is_overdue(now):
             return self._finish(now)
@@ -329,9 +382,8 @@ class RobotCore:
     def _has_arrived(self, other: int) -> bool:
         """Whether a robot is so near the middle of its target that its other cells are free."""
         x, y = self.frame.centre(self._ways[other].cells[-1])
-        poses = {pose.robot: pose for pose in self.sensors.others()}
-        pose = poses[other]
-        return max(abs(pose.x - x), abs(pose.y - y)) < self.frame.cell_size / 4
+        pose = self.sensors.last(other)
+        return pose is not None and max(abs(pose.x - x), abs(pose.y - y)) < self.frame.cell_size / 4
 
     def _drive(self, now: float) -> bool:
         pose = self.sensors.pose
@@ -339,12 +391,12 @@ class RobotCore:
             self._passed.append(self._legs.pop(0))
         if not self._legs:
             return self._finish(now)
-        if pose and self.wheels.give_up(pose, now):
-            self._shut[self._legs[0]] = self.tick + self.settings.shut_ticks
-            if not self._return(now):
-                return self._finish(now)
-        elif now - self._since > self.settings.move_expiry:
-            self._return(now)
+        gives_up = pose is not None and self.wheels.give_up(pose, self._legs[0])
+        if gives_up:
+            self._shut[self._legs[0]] = now + self.settings.shut_seconds
+        is_late = now - self._since > self.settings.move_expiry
+        if (gives_up or is_late) and not self._return(now):
+            return self._finish(now)
         self._is_overdue(now)
         return False
 
@@ -352,8 +404,8 @@ class RobotCore:
         """Drive back the way it came, unless it is already doing so."""
         if self._legs[-1] == self._passed[0]:
             return False
-        self._legs = self._passed[::-1]
-        self.wheels.start(now)
+        self._legs, self._since = self._passed[::-1], now
+        self.wheels.start(is_return=True)
         return True
 
     def _arrived(self, pose: Pose) -> bool:
@@ -379,26 +431,34 @@ class RobotCore:
     def _velocity(self, now: float) -> Velocity:
         pose = self.sensors.pose
         if self._phase != self._drive or pose is None or not self.sensors.fresh(now):
+            self.wheels.rest()
             return ZERO
         self._watch_out()
-        goal = self.frame.centre(self._legs[0])
+        goal, others = self.frame.centre(self._legs[0]), self._heard(now)
         blocked = self.guard.is_blocked(pose, goal)
-        velocity = self.settings.drive.velocity(pose, goal, self.sensors.others(), blocked)
-        self.wheels.command(velocity, blocked)
+        velocity = self.settings.drive.velocity(pose, goal, others, blocked)
+        self.wheels.command(velocity, blocked, self.settings.drive.ahead(pose, others))
         return velocity
 
     def _watch_out(self) -> None:
         """Look for obstacles in the latest scan."""
         scan = self.sensors.scan
-        poses = self.sensors.at(scan.stamp) if scan else {}
-        if scan and self.robot in poses:
+        if scan is None or scan is self.guard.scan:
+            return
+        poses = self.sensors.at(scan.stamp)
+        if self.robot in poses:
             own = poses.pop(self.robot)
             robots = [Disc(other.x, other.y, 0.0) for other in poses.values()]
             self.guard.look(scan, own, robots)
 
-    def _held_cells(self) -> set[GridCell]:
+    def _heard(self, now: float) -> list[Pose]:
+        """The latest poses of other robots, but of none that has been silent for too long."""
+        settings = self.settings
+        return self.sensors.heard(now, max(settings.mate_patience, settings.max_pose_age))
+
+    def _held_cells(self, now: float) -> set[GridCell]:
         """Cells of other robots inside the arena."""
-        cells = self.sensors.last_cells(self.frame).values()
+        cells = {self.frame.cell(pose.x, pose.y) for pose in self._heard(now)}
         return {cell for cell in cells if self.frame.inside(cell)}
 
     # ------------------------------------------------------------ what it tells people
@@ -415,6 +475,11 @@ class RobotCore:
             "jumps of the pose": self.jumps.jumps,
             "numpy instead of the kernel": int(not uses_kernel()),
         }
+
+    @property
+    def obstructed(self) -> GridCell | None:
+        """The cell on the way to which something stands now."""
+        return self._legs[0] if self._legs and self.wheels.blocked else None
 
     @property
     def waited_for(self) -> set[int]:

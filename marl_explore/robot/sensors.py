@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from marl_explore.robot.geometry import Disc, Frame, GridCell
+from marl_explore.robot.geometry import Disc
 from marl_explore.robot.messages import Pose, Scan
 
 _KEPT = 64
@@ -117,6 +117,11 @@ class Sensors:
         """The latest poses of the other robots, however old."""
         return [poses[-1] for robot, poses in self._poses.items() if robot != self.robot]
 
-    def last_cells(self, frame: Frame) -> dict[int, GridCell]:
-        """The latest cells of the other robots, however old."""
-        return {pose.robot: frame.cell(pose.x, pose.y) for pose in self.others()}
+    def heard(self, now: float, patience: float) -> list[Pose]:
+        """The latest poses of the other robots that are at most so old.
+
+        Args:
+            now: the time (seconds).
+            patience: the largest age (seconds).
+        """
+        return [pose for pose in self.others() if abs(now - pose.stamp) <= patience]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from marl_explore.config.checks import require_integer, require_not_negative, require_positive
+from marl_explore.config.checks import require_not_negative, require_positive
 from marl_explore.config.fields import check_types
 from marl_explore.robot.driving import Drive
 from marl_explore.robot.evidence import EvidenceModel
@@ -31,12 +31,13 @@ class RobotSettings:
     """How long a move may take before the robot drives back."""
     move_patience: float = 5.0
     """How long a robot may try to drive without moving before it gives up the move."""
-    shut_ticks: int = 20
-    """How long a cell that could not be reached counts as occupied (ticks)."""
+    shut_seconds: float = 60.0
+    """How long a cell that could not be reached counts as occupied."""
     stop_when_complete: bool = True
     """Whether a robot without a reachable frontier makes no more moves."""
     mate_patience: float = 60.0
-    """How long returns where a robot may be that is not heard are no obstacle."""
+    """How long a robot that is not heard holds its cell, and returns where it may be are no
+    obstacle."""
     mate_reach: float = 1.5
     """How far such a robot can have driven at most (metres)."""
     drive: Drive = field(default_factory=Drive)
@@ -50,8 +51,8 @@ class RobotSettings:
         check_types(self)
         for name in _TIMES:
             require_positive(name, getattr(self, name), "seconds")
-        require_integer("shut_ticks", self.shut_ticks, 0)
-        require_not_negative("mate_patience", self.mate_patience, "seconds")
+        for name in ("shut_seconds", "mate_patience"):
+            require_not_negative(name, getattr(self, name), "seconds")
         require_not_negative("mate_reach", self.mate_reach, "metres")
         if not self.max_scan_age > 0:
             raise ValueError(f"max_scan_age={self.max_scan_age!r} is not allowed: it must be > 0 s")

@@ -54,19 +54,31 @@ def status_of(core: RobotCore, now: float) -> Status:
         return fault
     if core.jumps.is_checking:
         return Status(Reason.JUMP, str(core.jumps.reports[-1]))
-    if stuck := core.wheels.status():
-        return stuck
+    if core.obstructed:
+        return Status(Reason.OBSTACLE, f"something stands in its way to cell {core.obstructed}")
+    if core.wheels.fault:
+        return core.wheels.fault
+    if core.wheels.ahead:
+        return Status(Reason.WAITING, f"waiting for {named(core.wheels.ahead)} ahead")
     if missing := core.waited_for:
         return Status(Reason.WAITING, f"waiting for {named(missing)}")
+    if core.refusal:
+        return Status(Reason.WAITING, core.refusal)
     if core.is_complete:
         return Status(Reason.COMPLETE, "no frontier can be reached: the map is complete")
     if core.is_sensing:
         return Status(Reason.WAITING, f"waiting for a scan of tick {core.tick}")
+    begins = core.clock.begins(core.tick + 1) if core.is_between_ticks else None
+    if begins is not None:
+        when = f"which begins in {begins - now:.1f} s"
+        return Status(Reason.WAITING, f"waiting for tick {core.tick + 1}, {when}")
     return Status(Reason.EXPLORING, f"exploring, tick {core.tick}")
 
 
 def _of_clock(core: RobotCore, now: float) -> Status | None:
-    if core.refused_stamp is None or now - core.refused_stamp[0] > core.settings.max_pose_age:
+    if core.refused_stamp is None:
+        return None
+    if abs(now - core.refused_stamp[0]) > core.settings.max_pose_age:  # clocks can be set back
         return None
     return Status(Reason.OTHER_CLOCK, f"stamps of another clock: {core.refused_stamp[1]}")
 

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from marl_explore.robot.driving import ZERO, Velocity
-from marl_explore.robot.geometry import wrapped
+from marl_explore.robot.geometry import GridCell
+from marl_explore.robot.mapper import Floats
 from marl_explore.robot.messages import Pose
 from marl_explore.robot.status import Reason, Status
 
-_STILL = 0.02
-"""A pose that has changed by less has not moved (metres)."""
-_TURNED = 0.1
-"""The same of a heading (radians)."""
+_MOVED = 0.05
+"""A robot that is farther from where it was has moved: poses are noisy (metres)."""
+_TURNED = 0.2
+"""The same of its heading (radians)."""
+_SMOOTHING = 1.0
+"""Over how long poses are averaged (seconds)."""
 _LONGEST = 0.5
-"""Time between two looks that counts at most: clocks can be set (seconds)."""
+"""Time between two poses that counts at most: poses can be lost and clocks set (seconds)."""
 
 
 class Wheels:
@@ -28,56 +33,86 @@ class Wheels:
         self.patience = patience
         self.blocked = False
         """Whether its scan shows something in its way."""
+        self.ahead: set[int] = set()
+        """Robots ahead that it waits for."""
         self.stalls = 0
         """How often its wheels did not turn."""
         self.obstacles = 0
         """How often something was in its way until it gave up."""
-        self._fault: Status | None = None
-        self._tries = False
-        self._tried, self._looked = 0.0, math.inf
-        self._from: Pose | None = None
+        self.fault: Status | None = None
+        """Why it last gave up a move, until it moves again or has nowhere to go."""
+        self.rest()
+        self.start()
 
-    def start(self, now: float) -> None:
-        """Begin a way."""
-        self._tried, self._looked, self._from, self._tries = 0.0, now, None, False
+    def start(self, is_return: bool = False) -> None:
+        """Begin a way, or the way back after a move that was given up."""
+        self._is_return = is_return
+        self._tried = {True: 0.0, False: 0.0}
+        """How long it has tried with something in the way, and with nothing (seconds)."""
+        self._last: Pose | None = None
+        self._place: Floats = np.zeros(4)
+        self._from: Floats = self._place
 
-    def command(self, velocity: Velocity, blocked: bool) -> None:
-        """Note the command to the wheels, and whether something is in the way."""
-        self.blocked, self._tries = blocked, velocity != ZERO
+    def rest(self) -> None:
+        """Note that the robot stands still, for want of a new pose or scan or at its goal."""
+        self.command(ZERO, False, set())
 
-    def give_up(self, pose: Pose, now: float) -> bool:
+    def command(self, velocity: Velocity, blocked: bool, ahead: set[int]) -> None:
+        """Note the command to the wheels, and what is in the way.
+
+        Args:
+            velocity: the command.
+            blocked: whether the scan shows something in the way.
+            ahead: robots ahead that it waits for.
+        """
+        self.blocked, self.ahead = blocked, ahead
+        self._tries = blocked or (velocity != ZERO and not ahead)
+
+    def forget(self) -> None:
+        """End the fault: the robot has nowhere to go, or the way may be free again."""
+        self.fault = None
+
+    def give_up(self, pose: Pose, cell: GridCell) -> bool:
         """Whether the robot has been trying for too long without moving.
 
         Args:
             pose: the robot's latest.
-            now: the time (seconds).
+            cell: to which it drives.
         """
-        last = self._from
-        moved = last is None or math.hypot(pose.x - last.x, pose.y - last.y) >= _STILL
-        turned = last is None or abs(wrapped(pose.yaw - last.yaw)) >= _TURNED
-        waits = not self._tries and not self.blocked  # for another robot, or for a new pose
-        if moved or turned or waits:
-            if last is not None and moved:
-                self._fault = None
-            self._tried, self._looked, self._from = 0.0, now, pose
+        last = self._last
+        if last is not None and pose.stamp == last.stamp:
             return False
-        self._tried += min(max(now - self._looked, 0.0), _LONGEST)
-        self._looked = now
-        if self._tried <= self.patience:
+        self._last = pose
+        seconds = min(max(pose.stamp - last.stamp, 0.0), _LONGEST) if last else math.inf
+        self._place = _averaged(self._place, pose, seconds)
+        moved = self._has_moved()
+        if moved and last and not self._is_return:
+            self.fault = None
+        if moved or last is None or not self._tries:
+            self._tried, self._from = {True: 0.0, False: 0.0}, self._place
             return False
-        self._note(pose)
-        self.start(now)
+        self._tried[self.blocked] += seconds
+        if self._tried[self.blocked] <= self.patience:
+            return False
+        self._note(pose, cell)
+        self.start()
         return True
 
-    def _note(self, pose: Pose) -> None:
-        place = f"at ({pose.x:.2f}, {pose.y:.2f}) m"
+    def _has_moved(self) -> bool:
+        east, north, *heading = self._place - self._from
+        return math.hypot(east, north) >= _MOVED or math.hypot(*heading) >= _TURNED
+
+    def _note(self, pose: Pose, cell: GridCell) -> None:
         if self.blocked:
             self.obstacles += 1
-            self._fault = Status(Reason.OBSTACLE, f"something stands in its way {place}")
+            self.fault = Status(Reason.OBSTACLE, f"something stands in its way to cell {cell}")
         else:
             self.stalls += 1
-            self._fault = Status(Reason.WHEELS, f"its wheels do not turn {place}")
+            place = f"at ({pose.x:.2f}, {pose.y:.2f}) m, on its way to cell {cell}"
+            self.fault = Status(Reason.WHEELS, f"its wheels do not turn {place}")
 
-    def status(self) -> Status | None:
-        """The last fault, until the robot has moved again."""
-        return self._fault
+
+def _averaged(place: Floats, pose: Pose, seconds: float) -> Floats:
+    """Position and heading (x, y, cos, sin), averaged, after a pose so much later."""
+    now = np.array([pose.x, pose.y, math.cos(pose.yaw), math.sin(pose.yaw)])
+    return place + (now - place) * -math.expm1(-seconds / _SMOOTHING)

@@ -216,20 +216,21 @@ def to_letter(message: Any, receiver: int) -> Envelope:
     return Envelope.decode(bytes(message.data), receiver)
 
 
-def status_fields(status: Status, name: str, counts: Mapping[str, int]) -> Fields:
+def status_fields(status: Status, name: str, details: Mapping[str, Any]) -> Fields:
     """diagnostic_msgs/DiagnosticStatus; ``values`` are (key, value).
 
     Args:
         status: of the robot.
         name: of the robot.
-        counts: by name.
+        details: by name.
     """
     return {
         "level": WARN if status.is_fault else OK,
         "name": f"{name}/robot",
-        "message": f"{status.reason.value}: {status.text}",
+        "message": status.text,
         "hardware_id": name,
-        "values": [(key, str(value)) for key, value in counts.items()],
+        "values": [("kind", status.reason.value)]
+        + [(key, str(value)) for key, value in details.items()],
     }
 
 

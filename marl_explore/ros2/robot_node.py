@@ -23,7 +23,7 @@ from std_msgs.msg import UInt8MultiArray
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Mount
-from marl_explore.robot.status import Reason
+from marl_explore.robot.status import Reason, Status
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run, time_of
 from marl_explore.ros2.parameters import RobotParameters
@@ -41,7 +41,8 @@ class RobotNode(ParameterNode[RobotParameters]):
         super().__init__("robot_node", RobotParameters())
         self.core = self.given.make_core()
         self._published = 0
-        self._told: Reason | None = None
+        self._told = Status(Reason.WAITING, "")
+        self._warned: set[object] = set()
         self._mounts: TransformPoses | None = None
         team, own = self.given.team, self.given.team[self.given.robot]
         for robot, name in enumerate(team):
@@ -115,8 +116,9 @@ class RobotNode(ParameterNode[RobotParameters]):
                 self._inboxes[receiver].publish(letter)
         self._send_map(now)
         self._send_velocity(output.velocity, now)
-        if self.core.status.reason is not self._told:
+        if self.core.status.reason is not self._told.reason:
             self._tell()
+        self._warn()
 
     def _send_map(self, now: float) -> None:
         if self.core.knowledge.changes == self._published:
@@ -128,17 +130,26 @@ class RobotNode(ParameterNode[RobotParameters]):
         self._maps.publish(convert.fill(OccupancyGrid(), fields))
 
     def _tell(self) -> None:
-        """Log and publish a status of another kind than before."""
-        status = self.core.status
-        self._told = status.reason
-        log = self.get_logger().warning if status.is_fault else self.get_logger().info
-        log(f"{status.reason.value}: {status.text}")
+        """Publish a status of another kind; faults, their ends and a complete map are also logged."""
+        status, before = self.core.status, self._told
+        self._told = status
+        if status.is_fault:
+            self.get_logger().warning(status.text)
+        elif before.is_fault or status.reason is Reason.COMPLETE:
+            self.get_logger().info(status.text)
         self._send_status()
 
+    def _warn(self) -> None:
+        """Log maps of others that were refused, and scans held against the map after a jump."""
+        said: set[object] = {*self.core.knowledge.refusals, *self.core.jumps.reports}
+        for report in said - self._warned:
+            self.get_logger().warning(str(report))
+        self._warned = said
+
     def _send_status(self) -> None:
-        fields = convert.status_fields(
-            self.core.status, self.given.team[self.given.robot], self.core.counts
-        )
+        core, name = self.core, self.given.team[self.given.robot]
+        details = {**core.counts, "last map refused": next(reversed(core.knowledge.refusals), "-")}
+        fields = convert.status_fields(core.status, name, details)
         fields["values"] = [KeyValue(key=key, value=value) for key, value in fields["values"]]
         array = DiagnosticArray(status=[convert.fill(DiagnosticStatus(), fields)])
         header = convert.header_fields(time_of(self), "")

@@ -216,6 +216,11 @@ MIXES = {
 """The mixes of the fault campaign (``python -m benchmarks.robot_faults``)."""
 
 
+_SETTLING = 10.0
+"""How long the world goes on after the end (seconds): a robot that was not heard for long is an
+obstacle until others look at its cell again."""
+
+
 class Outcome(NamedTuple):
     """How a run ended."""
 
@@ -251,10 +256,13 @@ def explore(faults, seed, planner="nearest-timer", side=7, robots=3, most_second
         world.step()
         if world.time > most_seconds + last_fault:
             break
-    living = world.alive()
+    living, ended = world.alive(), world.time
+    finished = all(core.is_complete for core in living)
+    while world.time < ended + _SETTLING:
+        world.step()
     return Outcome(
-        all(core.is_complete for core in living),
-        world.time,
+        finished,
+        ended,
         sum(world.wrong_cells(core.robot) for core in living),
         world.closest - 2 * RADIUS,
         world.gap,

@@ -173,3 +173,16 @@ def test_a_robot_that_is_carried_to_where_it_says_goes_on_mapping():
 def test_limits_that_are_none_are_refused(name, value, allowed):
     with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*{allowed}"):
         JumpLimits(**{name: value})
+
+
+def test_a_clock_that_is_set_back_ends_no_check_of_a_jump():
+    guard = JumpGuard(JumpLimits(), Drive())
+    wrong, right = Fit(5, 9), Fit(0, 9)
+    guard.add(Pose(1000.0, 0, 0.0, 0.0, 0.0))
+    guard.add(Pose(1000.1, 0, 2.0, 0.0, 0.0))
+    assert not guard.admits(Pose(1000.1, 0, 2.0, 0.0, 0.0), wrong, 1)
+    guard.add(Pose(5.0, 0, 2.0, 0.0, 0.0))
+    assert not guard.admits(Pose(5.0, 0, 2.0, 0.0, 0.0), wrong, 2)
+    assert guard.is_checking
+    assert guard.admits(Pose(5.1, 0, 2.0, 0.0, 0.0), right, 3)
+    assert not guard.is_checking

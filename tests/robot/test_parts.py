@@ -158,6 +158,7 @@ def test_a_robot_ahead_is_waited_for_and_one_behind_is_not():
         (BeamModel, "lidar_x", math.nan, "a number, not NaN"),
         (BeamModel, "lidar_y", math.inf, "a finite number of metres"),
         (BeamModel, "lidar_yaw", -math.inf, "a finite number of radians"),
+        (RobotSettings, "shut_seconds", -1.0, "at least 0 seconds"),
         (RobotSettings, "mate_patience", -1.0, "at least 0 seconds"),
         (RobotSettings, "mate_reach", math.inf, "at least 0 metres, and finite"),
     ],
@@ -180,6 +181,21 @@ def test_a_period_clock_reads_the_time():
     assert [clock.tick(now) for now in (9, 10, 11.9, 12, 21)] == [-1, 0, 0, 1, 5]
     with pytest.raises(ValueError, match=r"period=0 .*positive"):
         PeriodClock(0)
+    assert clock.begins(5) == 20.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((1e-300,), "period=1e-300 is not allowed: it must be from 0.01 to 86400 seconds"),
+        ((1e9,), "period=1000000000.0 is not allowed: it must be from 0.01"),
+        ((8.0, math.nan), "start=nan is not allowed: it must be at most"),
+        ((8.0, math.inf), "start=inf is not allowed: it must be at most"),
+    ],
+)
+def test_periods_and_starts_that_are_none_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        PeriodClock(*arguments)
 
 
 def test_a_barrier_opens_when_all_are_through():

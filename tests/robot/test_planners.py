@@ -44,7 +44,7 @@ def plans(planner, env, now):
 @pytest.mark.usefixtures("backend")
 @pytest.mark.parametrize("name", planners.PLANNERS)
 @pytest.mark.parametrize("arenas", ARENAS)
-@pytest.mark.parametrize("robots", [1, 4, 9])
+@pytest.mark.parametrize("robots", [1, 4, 9, 16])
 def test_wanted_actions_are_those_in_torch(name, arenas, robots):
     config, kind = ARENAS[arenas](robots)
     env = ExplorationEnv(config, arenas=kind, seed=3)

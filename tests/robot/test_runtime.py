@@ -13,7 +13,8 @@ from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotC
 from marl_explore.robot.driving import ZERO
 from marl_explore.robot.evidence import Evidence
 from marl_explore.robot.geometry import Mount
-from marl_explore.robot.messages import Done, Intent, Share
+from marl_explore.robot.messages import MOST_AHEAD, Done, Intent, Share
+from marl_explore.robot.planners import Nearest
 from tests.helpers.boards import ACTIONS, arena
 from tests.helpers.robot_world import PATIENT, RADIUS, World, scan_of, scripted
 
@@ -118,6 +119,15 @@ def test_a_pose_that_is_not_finite_is_refused_and_changes_nothing(name, value):
     with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*finite"):
         core.receive(replace(pose, **{"stamp": 1.1, name: value}), 1.1)
     assert core.advance(1.1).velocity == before.velocity != ZERO
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+def test_a_pose_far_from_every_arena_is_refused(name):
+    """It used to be taken, and the next ``advance`` failed."""
+    core, pose = driving_robot()
+    with pytest.raises(ValueError, match=rf"{name}=1e\+308 is not allowed: .* at most 1e\+06 m"):
+        core.receive(replace(pose, **{"stamp": 1.1, name: 1e308}), 1.1)
+    assert core.advance(1.1).velocity != ZERO
 
 
 @pytest.mark.parametrize("name", ["stamp", "angle_min", "angle_increment", "range_max"])
@@ -462,9 +472,10 @@ def test_settings_that_cannot_work_are_refused(config, robot, message):
         (Envelope(1, (0,), Done(0, 0)), "Done of robot 0 is not allowed: robot 1 sent it"),
         (Envelope(1, (0,), Intent(0, 0, (1, 1), 0)), "Intent of robot 0 .* robot 1 sent it"),
         (Envelope(1, (0,), Intent(1, 0, (1, 4), 10)), "action=10 is not allowed: 0 to 9"),
-        (Envelope(1, (0,), Done(1, 2**60)), "tick=1152921504606846976 is not allowed: 0 to 9007"),
+        (Envelope(1, (0,), Done(1, 2**60)), "tick=1152921504606846976 is not allowed: 0 to 4398"),
         (Envelope(1, (0,), Done(1, -1)), "tick=-1 is not allowed: 0 to"),
         (Envelope(-1, (0,), Done(-1, 0)), "a message of robot -1 is not allowed: 0 to 1"),
+        (Envelope(1, (1, 2), Done(1, 0)), r"to robots \(1, 2\) is not allowed: this is robot 0"),
         (Envelope(0, (0,), Done(0, 0)), "a message of robot 0 to itself is not allowed"),
         (Envelope(1, (0,), Intent(1, 0, (4, 4), 0)), r"cell=\(4, 4\) is not allowed: .*\(4, 6\)"),
         (Envelope(1, (0,), Intent(1, 9, (1, 1), 0)), r"cell=\(1, 1\) of robot 1 .* cell \(1, 4\)"),
@@ -491,3 +502,54 @@ def test_an_action_that_is_none_is_refused():
     with pytest.raises(ValueError, match="action 10 is not one of 0 to 9"):
         world.run(1)
     assert math.isfinite(world.now)
+
+
+# ---------------------------------------------------------------- ticks far ahead
+
+
+def test_who_joins_the_farthest_tick_is_understood_by_the_others():
+    """A tick at the limit used to be taken, and what the team sent afterwards was refused."""
+    world = world_of(OPEN, ["stay"] * 2)
+    for core in world.cores:
+        other = 1 - core.robot
+        core.receive(Envelope(other, (core.robot,), Done(other, MOST_AHEAD - 1)), world.now)
+    world.run(MOST_AHEAD + 3, most_steps=20)
+
+
+def test_intents_of_many_ticks_do_not_pile_up():
+    world = world_of(OPEN, ["stay"] * 2)
+    world.step()
+    for tick in range(1000, 2000):
+        world.cores[0].receive(Envelope(1, (0,), Intent(1, tick, (1, 4), STAY)), world.now)
+    assert len(world.cores[0].mail._intents) <= 64
+    world.run(3)
+
+
+# ---------------------------------------------------------------- whose policy it is
+
+
+def test_a_policy_brings_its_normalisation():
+    config = ArenaConfig(num_agents=1)
+    policy = scripted([])
+    cores = [RobotCore(0, config, policy, BarrierClock([0]))]
+    named = Named()
+    cores += [RobotCore(0, config, named, BarrierClock([0]), **o) for o in ({}, {"fpr": None})]
+    assert [core.fpr for core in cores] == ["relative", "absolute", None]
+
+
+class Named:
+    fpr = "absolute"
+
+
+@pytest.mark.parametrize(
+    ("robot", "team", "message"),
+    [
+        (0, ArenaConfig(7, 7, num_agents=4), "the planner is for num_agents=2 .* not for 4"),
+        (0, ArenaConfig(7, 7, num_agents=2, sensing_range=2.0), "3 x 3 cells in view, not for 2"),
+        (1, ArenaConfig(7, 7, num_agents=2), "robot=1 is not allowed: .* that of robot 0"),
+    ],
+)
+def test_the_planner_of_another_robot_or_team_is_refused(robot, team, message):
+    planner = Nearest(0, ArenaConfig(7, 7, num_agents=2))
+    with pytest.raises(ValueError, match=message):
+        RobotCore(robot, team, planner, BarrierClock(range(team.num_agents)))

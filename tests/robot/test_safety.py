@@ -62,15 +62,19 @@ WAY_AROUND = """
 
 def test_a_robot_stops_before_a_box_that_was_not_there_when_it_decided():
     world = world_of(CORRIDOR, scripted([2] * 99))
-    boxed = False
+    boxed, told = False, set()
     for _ in steps(world, 40):
         if not boxed and world.cores[0].tick == 0 and world.poses[0].x > -0.98:
             world.put((1, 2))  # while it is on its way there
-            boxed = True
+            boxed, at = True, world.time
+        if boxed and world.time < at + 4.9:
+            told.add(world.cores[0].status)
     assert boxed
+    blocked = Reason.OBSTACLE, "something stands in its way to cell (1, 2)"
+    assert blocked in told  # at once, before it gives up
     assert world.gap > 0
     assert world.cores[0].wheels.obstacles >= 1
-    assert world.cores[0].status.reason is Reason.OBSTACLE
+    assert world.cores[0].status.reason is Reason.COMPLETE  # no fault that never ends
     assert cell_of(world, 0) == (1, 1)
 
 
@@ -90,7 +94,7 @@ def test_it_plans_around_what_stands_in_its_way():
 
 
 def test_it_gives_up_a_move_whose_wheels_do_not_turn_and_goes_on_later():
-    world = world_of(CORRIDOR, scripted([2] * 500))
+    world = world_of(CORRIDOR, scripted([2] * 500), settings=RobotSettings(shut_seconds=10.0))
     turns, held = world._moved, [True]
     world._moved = lambda pose, forward, turn: pose if held else turns(pose, forward, turn)
     for _ in steps(world, 12):
@@ -112,6 +116,105 @@ def test_standing_still_for_another_robot_is_no_fault():
     for _ in steps(world, 30):
         pass
     assert [core.wheels.stalls + core.wheels.obstacles for core in world.cores] == [0, 0]
+
+
+def test_a_robot_ahead_that_stays_there_is_waited_for_and_no_fault():
+    world = world_of("......\n.0.1..\n......", scripted([2]), scripted([]), settings=PATIENT)
+    world.poses[1] = replace(world.poses[1], x=world.poses[1].x - 0.22)
+    world.dead.add(1)
+    told = set()
+    for _ in steps(world, 30):
+        told.add(world.cores[0].status)
+    assert (Reason.WAITING, "waiting for robot 1 ahead") in told
+    assert world.cores[0].wheels.stalls + world.cores[0].wheels.obstacles == 0
+    assert not any(status.is_fault for status in told)
+
+
+# ---------------------------------------------------------------- progress of noisy poses
+
+
+class Noisy(FaultyWorld):
+    noise, lost_from = 0.0, np.inf
+
+    def give_poses(self, core):
+        if self.lost_from <= self.time < self.lost_from + 8.0:
+            return
+        for pose in self.poses:
+            east, north = self.chance.normal(0.0, self.noise, 2)
+            self.give(core, replace(pose, x=pose.x + east, y=pose.y + north))
+
+
+def noisy(policy, **options):
+    config = ArenaConfig(5, 5, 0.0, num_agents=1)
+    arguments = config, np.zeros((5, 5), bool), [(2, 2)], [policy]
+    return Noisy(Faults(), np.random.default_rng(0), *arguments, **options)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
+def test_wheels_that_do_not_turn_are_noticed_in_noise(noise):
+    world = noisy(scripted([2]))
+    world.noise, world._moved = noise, lambda pose, forward, turn: pose
+    for _ in steps(world, 25):
+        pass
+    assert world.cores[0].wheels.stalls == 1
+    assert world.cores[0].tick > 0
+
+
+def test_a_robot_that_cannot_go_back_either_ends_its_move():
+    world = noisy(scripted([2]))
+    turns, middle = world._moved, world.frame.centre((2, 2))[0]
+    world._moved = lambda pose, *v: pose if pose.x > middle + 0.1 else turns(pose, *v)
+    for _ in steps(world, 25):
+        pass
+    assert world.poses[0].x > middle + 0.1
+    assert world.cores[0].tick > 0
+
+
+def test_time_without_a_pose_is_no_fault_of_the_wheels():
+    world = noisy(scripted([2]))
+    while world.cores[0]._phase != world.cores[0]._drive:
+        world.step()
+    world.lost_from = world.time + 0.2
+    for _ in steps(world, 20):
+        pass
+    assert world.cores[0].wheels.stalls == 0
+    assert cell_of(world, 0) == (2, 3)
+
+
+def test_a_person_who_steps_aside_at_the_last_moment_is_no_fault_of_the_wheels():
+    world = noisy(scripted([2]))
+    while world.poses[0].x < 0.05:
+        world.step()
+    world.put((2, 3))
+    for _ in steps(world, 4.5):
+        pass
+    world.put((2, 3), code=False)
+    for _ in steps(world, 10):
+        pass
+    assert world.cores[0].wheels.stalls + world.cores[0].wheels.obstacles == 0
+    assert cell_of(world, 0) == (2, 3)
+
+
+def test_a_cell_that_could_not_be_reached_makes_no_map_complete():
+    world = world_of("0......", settings=RobotSettings(shut_seconds=20.0))
+    while world.cores[0].tick < 1 or world.cores[0]._phase != world.cores[0]._drive:
+        world.step()
+    world._moved = lambda pose, forward, turn: pose
+    for _ in steps(world, 20):
+        assert not world.cores[0].is_complete
+    assert world.cores[0].wheels.stalls
+
+
+def test_a_robot_that_was_taken_away_holds_no_cell_for_ever():
+    world = world_of("0...1....", settings=RobotSettings(mate_patience=8.0))
+    for _ in steps(world, 1):
+        pass
+    world.dead.add(1)
+    world.poses[1] = replace(world.poses[1], x=100.0)
+    world.give_poses = lambda core: world.give(core, world.poses[0])
+    for _ in steps(world, 120):
+        pass
+    assert world.cores[0].knowledge.known == 9
 
 
 # ---------------------------------------------------------------- what a scan shows
@@ -163,6 +266,14 @@ def test_a_single_return_is_noise():
 # ---------------------------------------------------------------- room for others
 
 
+def tell_all(world, robot):
+    """Write the whole world into a robot's map."""
+    truth = world.obstacles.astype(np.int8)
+    looks = np.where(truth == 1, 3, -3).astype(np.int8)
+    knowledge = world.cores[robot].knowledge
+    knowledge._become(Evidence(looks, np.full(truth.shape, 5, np.int64)))
+
+
 def test_a_robot_that_is_done_leaves_the_only_way():
     """Robot 0 knows everything and stands in the door through which robot 1 has to go."""
     board = """
@@ -173,10 +284,7 @@ def test_a_robot_that_is_done_leaves_the_only_way():
         #######
     """.replace(".0.", "0..")
     world = world_of(board, settings=RobotSettings(mate_patience=5.0))
-    truth = world.obstacles.astype(np.int8)
-    looks = np.where(truth == 1, 3, -3).astype(np.int8)
-    knowledge = world.cores[0].knowledge
-    knowledge._become(Evidence(looks, np.full(truth.shape, 5, np.int64)))
+    tell_all(world, 0)
     assert cell_of(world, 0) == (2, 3)
     for _ in steps(world, 120):
         if world.cores[1].is_complete:
@@ -184,6 +292,19 @@ def test_a_robot_that_is_done_leaves_the_only_way():
     assert world.cores[1].is_complete
     assert cell_of(world, 0) != (2, 3)
     assert world.closest > 2 * RADIUS
+
+
+def test_robots_that_are_done_do_not_refuse_each_other_for_ever():
+    """Both want to leave by the same cell."""
+    world = world_of(".0.\n.1#\n#.#")
+    for robot in range(2):
+        tell_all(world, robot)
+    told = set()
+    for _ in steps(world, 30):
+        told.update(core.status.text for core in world.cores)
+    assert all(core.is_complete for core in world.cores)
+    assert (0, 1) not in {cell_of(world, robot) for robot in range(2)}
+    assert any("its move to cell (0, 0) was refused because of robot" in text for text in told)
 
 
 # ---------------------------------------------------------------- messages that come late

@@ -12,7 +12,7 @@ from marl_explore.robot import BarrierClock, PeriodClock, Pose, RobotCore, Robot
 from marl_explore.robot.planners import Nearest
 from marl_explore.robot.status import Reason, named
 from tests.helpers.boards import arena
-from tests.helpers.robot_world import PATIENT, World, scan_of, scripted
+from tests.helpers.robot_world import PATIENT, World, scripted
 
 CONFIG = ArenaConfig(6, 6, num_agents=4)
 
@@ -152,3 +152,40 @@ def test_ticks_of_a_short_period_since_1970_fit_into_messages():
 def test_a_clock_counts_from_the_start_of_the_experiment():
     clock = PeriodClock(8.0, start=1.79e9)
     assert [clock.tick(1.79e9 + seconds) for seconds in (-1, 0, 7.9, 8, 80)] == [-1, 0, 0, 1, 10]
+
+
+def test_stamps_of_another_clock_are_forgotten_when_the_clock_is_set_back():
+    core = robot(replace(CONFIG, num_agents=1), policy=scripted([]))
+    with pytest.raises(ValueError, match="stamp=2000"):
+        core.receive(Pose(2000.0, 0, 0.0, 0.0, 0.0), 1000.0)
+    core.receive(Pose(5.0, 0, 0.25, 0.25, 0.0), 5.0)
+    core.receive(a_scan(5.0), 5.0)
+    assert told(core, 5.0)[0] is not Reason.OTHER_CLOCK
+
+
+def test_stamps_of_another_robot_are_no_fault_of_this_one():
+    core = robot()
+    with pytest.raises(ValueError, match="stamp=99.0"):
+        core.receive(Pose(99.0, 1, 0.0, 0.0, 0.0), 1.0)
+    assert told(core, 1.0)[0] is Reason.NO_POSE
+    with pytest.raises(ValueError, match="stamp=99.0"):
+        core.receive(a_scan(99.0), 1.0)
+    assert "its scan's stamp=99.0" in told(core, 1.0)[1]
+
+
+def at_period(times, start=0.0):
+    """What a robot alone says at some times, with a tick every 8 s."""
+    config = replace(CONFIG, num_agents=1)
+    core = RobotCore(0, config, scripted([]), PeriodClock(8.0, start))
+    for now in times:
+        core.receive(Pose(now, 0, 0.25, 0.25, 0.0), now)
+        core.receive(a_scan(now), now)
+        text = told(core, now)
+    return text
+
+
+def test_the_tick_that_it_waits_for_is_named_with_its_time():
+    before = Reason.WAITING, "waiting for tick 0, which begins in 1000.0 s"
+    assert at_period([0.0], start=1000.0) == before
+    back = Reason.WAITING, "waiting for tick 451, which begins in 3608.0 s"
+    assert at_period([3600.0, 0.0]) == back

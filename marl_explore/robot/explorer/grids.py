@@ -35,6 +35,10 @@ Mask = NDArray[np.bool_]
 Floats = NDArray[np.floating]
 SIDE = 0.5
 """Of a coarse cell, in radii of the robot."""
+FINEST = 0.001
+"""Smallest cells of maps (metres)."""
+MOST_AREA = 100_000.0
+"""Largest map, unknown cells included (square metres): the coarse grid has memory for all of it."""
 OCCUPIED_FROM = 50
 """Percent from which a cell is occupied; below it is free, and negative is unknown."""
 
@@ -51,7 +55,7 @@ class OccupancyMap:
     """Outer corner of the first cell; its yaw turns the whole map."""
 
     def check(self) -> None:
-        """Raise an error for a map without cells, and for numbers that are not finite.
+        """Raise an error for a map without cells or too large, and numbers that are not finite.
 
         Raises:
             ValueError: naming the field and its value.
@@ -59,6 +63,10 @@ class OccupancyMap:
         shape = self.percent.shape
         require(len(shape) == 2 and min(shape) > 0, "shape", shape, "a map needs cells")
         require_positive("resolution", self.resolution, "metres")
+        finest = f"it must be at least {FINEST} m"
+        require(self.resolution >= FINEST, "resolution", self.resolution, finest)
+        area = self.percent.size * self.resolution**2
+        require(area <= MOST_AREA, "area", area, f"it must be at most {MOST_AREA:g} m2")
         self.origin.check()
 
     def moved(self, frame: Place) -> OccupancyMap:
@@ -224,6 +232,24 @@ def union(grids: Iterable[CoarseGrid]) -> CoarseGrid:
         part = codes[_window(grid, top, left)]
         np.copyto(part, grid.codes, where=part == UNKNOWN)
     return CoarseGrid(codes, (top, left), grids[0].side)
+
+
+def part_of(grid: CoarseGrid, first: GridCell, shape: tuple[int, int]) -> NDArray[np.int8]:
+    """The codes of a part of the lattice [H, W], unknown where the grid does not cover it.
+
+    Args:
+        grid: of the same lattice.
+        first: row and column of the first cell.
+        shape: of the part.
+    """
+    codes = np.full(shape, UNKNOWN, np.int8)
+    (top, left), (height, width) = grid.first, grid.codes.shape
+    up, side = max(top, first[0]), max(left, first[1])
+    bottom, right = min(top + height, first[0] + shape[0]), min(left + width, first[1] + shape[1])
+    if bottom > up and right > side:
+        inner = grid.codes[up - top : bottom - top, side - left : right - left]
+        codes[up - first[0] : bottom - first[0], side - first[1] : right - first[1]] = inner
+    return codes
 
 
 def _window(grid: CoarseGrid, top: int, left: int) -> tuple[slice, slice]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-import numpy as np
-
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
-from marl_explore.robot.explorer.grids import CoarseGrid, nearer, union
+from marl_explore.robot.explorer.grids import CoarseGrid, nearer, part_of
 
 FEWEST_CONFLICTS = 0.8
 """Square metres; smaller contradictions are a door or a table that was moved, not a wrong frame."""
@@ -38,10 +37,11 @@ class Fit(NamedTuple):
 
 
 def fit(one: CoarseGrid, other: CoarseGrid) -> Fit:
-    """Compare two maps on the same lattice."""
-    blank = np.full_like(one.codes, UNKNOWN), np.full_like(other.codes, UNKNOWN)
-    a = union((one, other._replace(codes=blank[1]))).codes
-    b = union((one._replace(codes=blank[0]), other)).codes
+    """Compare two maps on the same lattice, where the first one is and a little around it."""
+    rim = math.ceil(TOLERANCE / one.side)
+    first = one.first[0] - rim, one.first[1] - rim
+    shape = one.codes.shape[0] + 2 * rim, one.codes.shape[1] + 2 * rim
+    a, b = part_of(one, first, shape), part_of(other, first, shape)
     both = (a != UNKNOWN) & (b != UNKNOWN)
     walls = both & ((a == OCCUPIED) | (b == OCCUPIED))
     reach = TOLERANCE / one.side

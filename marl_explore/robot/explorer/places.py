@@ -11,6 +11,8 @@ from marl_explore.robot.geometry import wrapped
 
 Point = tuple[float, float]
 """(x, y) in metres."""
+FARTHEST = 100_000.0
+"""Places farther from the origin of a map are none of a robot's (metres)."""
 
 
 class Place(NamedTuple):
@@ -24,13 +26,15 @@ class Place(NamedTuple):
     """Counter-clockwise from the x axis (radians)."""
 
     def check(self) -> None:
-        """Raise an error for numbers that are not finite.
+        """Raise an error for numbers that are not finite, and for places very far away.
 
         Raises:
             ValueError: naming the field and its value.
         """
         for name, value in self._asdict().items():
             require(math.isfinite(value), name, value, "it must be a finite number")
+            allowed = f"it must be at most {FARTHEST:g} on either side of 0"
+            require(abs(value) <= FARTHEST, name, value, allowed)
 
     def distance(self, point: Point | Place) -> float:
         """Distance to a point (metres)."""

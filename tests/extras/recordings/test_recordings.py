@@ -149,6 +149,17 @@ def test_poses_in_another_frame_are_dropped_as_by_the_node(tmp_path):
         assert (core.sensors.pose is not None) is known
 
 
+def test_topics_of_others_do_not_matter(tmp_path):
+    """Such as a SLAM's pose beside the robots'."""
+    kind, types = "std_msgs/msg/UInt8MultiArray", recordings._TYPES
+    with Recorder(tmp_path / "bag", TEAM) as recorder:
+        recorder.answer(0, Velocity(0.0, 0.0), 1.0)
+        connection = recorder._writer.add_connection("/pose", kind, typestore=types)
+        data = types.serialize_cdr(recordings._message(kind, {}), kind)
+        recorder._writer.write(connection, 1, data)
+    assert replay_recording(tmp_path / "bag", reborn(0, seed=0), TEAM) == 1
+
+
 def test_topics_with_other_messages_are_named(tmp_path):
     topic, kind, types = "/robot_0/pose", "std_msgs/msg/UInt8MultiArray", recordings._TYPES
     with Writer(tmp_path / "other", version=9) as writer:

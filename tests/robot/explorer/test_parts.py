@@ -270,3 +270,35 @@ def test_what_an_explorer_cannot_take():
             take(*what)
     with pytest.raises(ValueError, match="name='a' is not allowed"):
         ExplorerCore(name="a", mates={"a": Place(0.0, 0.0)})
+
+
+@pytest.mark.parametrize(
+    ("resolution", "origin", "message"),
+    [
+        (1e3, Place(0.0, 0.0), "area=4000000.0 is not allowed: it must be at most 100000 m2"),
+        (1e-9, Place(0.0, 0.0), "resolution=1e-09 is not allowed: it must be at least 0.001 m"),
+        (0.05, Place(500_000.0, 4.6e6), "x=500000.0 is not allowed: it must be at most 100000"),
+        (0.05, Place(0.0, 1e300), "y=1e[+]300 is not allowed"),
+    ],
+)
+@pytest.mark.parametrize("mate", [None, "b"])
+def test_maps_that_would_take_all_memory_are_refused(resolution, origin, message, mate):
+    core = ExplorerCore(name="a", mates={"b": Place(0.0, 0.0)})
+    given = OccupancyMap(np.zeros((2, 2), np.int8), resolution, origin)
+    with pytest.raises(ValueError, match=message):
+        core.take_map(given, mate)
+    with pytest.raises(ValueError, match="x=1e[+]308 is not allowed"):
+        core.take_place(Place(1e308, 0.0), mate)
+
+
+def test_a_map_far_from_the_own_one_is_not_merged_and_takes_no_memory():
+    core = ExplorerCore(name="a", mates={"b": Place(0.0, 0.0)})
+    room = np.full((80, 80), 100, np.int8)
+    room[10:70, 10:70] = 0
+    core.take_map(OccupancyMap(room, 0.05, Place(0.0, 0.0)))
+    core.take_map(OccupancyMap(room, 0.05, Place(90_000.0, -90_000.0)), "b")
+    core.take_place(Place(2.0, 2.0))
+    output = core.advance(1.0)
+    assert any(
+        "map not merged yet, only 0.0 m2 are in both maps" in said for said in output.status.team
+    )
