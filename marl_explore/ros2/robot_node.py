@@ -130,7 +130,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         self._maps.publish(convert.fill(OccupancyGrid(), fields))
 
     def _tell(self) -> None:
-        """Publish a status of another kind; faults, their ends and a complete map are also logged."""
+        """Publish a status of another kind; log faults, their ends and that the map is complete."""
         status, before = self.core.status, self._told
         self._told = status
         if status.is_fault:
