@@ -180,7 +180,5 @@ def complete(grid: Map, cell: GridCell) -> bool:
     """
     row, column = cell
     beside = grid[max(row - 1, 0) : row + 2, column], grid[row, max(column - 1, 0) : column + 2]
-    others_do = feature_table(grid, cell, None)[
-        :, 0
-    ].any()  # frontiers in all directions, without the own cell
-    return not others_do and all((codes != UNKNOWN).all() for codes in beside)
+    numbers = feature_table(grid, cell, None)[:, 0]  # of frontiers, without the own cell
+    return not numbers.any() and all((codes != UNKNOWN).all() for codes in beside)

@@ -185,7 +185,7 @@ def test_a_map_is_complete_when_no_cell_in_reach_borders_an_unknown_one(board, i
     knowledge.map = grid
     config = ArenaConfig(*grid.shape, 0.0, num_agents=1)
     observed = observe(knowledge, {0: tuple(cell.tolist())}, config, "relative")
-    assert complete(observed) is is_complete
+    assert complete(observed.map, observed.position) is is_complete
 
 
 # ---------------------------------------------------------------- merging
