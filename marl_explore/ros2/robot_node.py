@@ -83,12 +83,12 @@ class RobotNode(ParameterNode[RobotParameters]):
             self.core.receive(event, now)
 
     @contextmanager
-    def _dropping(self, what: str) -> Iterator[None]:
-        """Log what cannot be used, and go on without it."""
+    def _dropping(self, what: str, every: float = 5.0) -> Iterator[None]:
+        """Log what cannot be used, at most once in so many seconds, and go on without it."""
         try:
             yield
         except ValueError as error:
-            self.get_logger().error(f"dropped {what}: {error}", throttle_duration_sec=5.0)
+            self.get_logger().error(f"dropped {what}: {error}", throttle_duration_sec=every)
 
     def _mount(self, frame: str) -> Mount | None:
         """Where tf has the lidar on the robot; None: it is not asked."""
@@ -102,7 +102,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         return Mount(*place)
 
     def _take_letter(self, message: Any) -> None:
-        with self._dropping("a message"):
+        with self._dropping("a message", every=0.0):
             self.core.receive(convert.to_letter(message, self.given.robot), time_of(self))
 
     def _advance(self) -> None:

@@ -151,7 +151,7 @@ def test_a_pose_that_is_not_finite_is_dropped_and_ends_no_node(workspace, tmp_pa
 
         def dropped():
             poses.publish(broken)
-            return "dropped a pose: x=nan" in log.read_text()
+            return "dropped a pose of robot 0: x=nan" in log.read_text()
 
         watcher.until(dropped)
         tick = watcher.ticks[0]
