@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
@@ -24,7 +24,7 @@ from marl_explore.robot.explorer.grids import SIDE
 from marl_explore.ros2 import convert, displays
 from marl_explore.ros2.explorer_parameters import ExplorerParameters
 from marl_explore.ros2.listening import Listener
-from marl_explore.ros2.node import LATEST, ParameterNode, run, time_of
+from marl_explore.ros2.node import LATEST, ParameterNode, diagnostics, run, time_of
 from marl_explore.ros2.pose_sources import POSES, PoseSource, TopicPoses, listen_to_tf
 
 Kinds = dict[str, type]
@@ -136,10 +136,7 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
         if status.state != self._state:
             self._state = status.state
             self.get_logger().info(f"{status.state}: {status.sentence}")
-        fields = displays.status_fields(status, self.name)
-        fields["values"] = [KeyValue(key=key, value=value) for key, value in fields["values"]]
-        array = DiagnosticArray(status=[convert.fill(DiagnosticStatus(), fields)])
-        self._statuses.publish(convert.fill(array, {"header": convert.header_fields(now, "")}))
+        self._statuses.publish(diagnostics(displays.status_fields(status, self.name), now))
 
     def _send_markers(self, output: Output, now: float) -> None:
         shown = output.frontiers, output.skipped, output.plan

@@ -7,13 +7,14 @@ from collections.abc import Callable
 from typing import Any, Generic
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from marl_explore.ros2.convert import to_seconds
+from marl_explore.ros2 import convert
 from marl_explore.ros2.parameters import Given, flat, replaced
 
 
@@ -36,7 +37,21 @@ _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 def time_of(node: Node) -> float:
     """The node's time (seconds), simulated if ``use_sim_time``; 0 before it is known."""
-    return to_seconds(node.get_clock().now().to_msg())
+    return convert.to_seconds(node.get_clock().now().to_msg())
+
+
+def diagnostics(fields: convert.Fields, stamp: float) -> DiagnosticArray:
+    """A status as diagnostic_msgs/DiagnosticArray.
+
+    Args:
+        fields: of a DiagnosticStatus; ``values`` are (key, value).
+        stamp: time of the status (seconds).
+    """
+    values = [KeyValue(key=key, value=value) for key, value in fields["values"]]
+    status = convert.fill(DiagnosticStatus(), {**fields, "values": values})
+    return convert.fill(
+        DiagnosticArray(status=[status]), {"header": convert.header_fields(stamp, "")}
+    )
 
 
 class ParameterNode(Node, Generic[Given]):

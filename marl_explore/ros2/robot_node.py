@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import qos_profile_sensor_data
@@ -25,7 +25,7 @@ from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Mount
 from marl_explore.robot.status import Reason, Status
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run, time_of
+from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, diagnostics, run, time_of
 from marl_explore.ros2.parameters import RobotParameters
 from marl_explore.ros2.pose_sources import TransformPoses, listen_to_tf
 
@@ -150,10 +150,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         core, name = self.core, self.given.team[self.given.robot]
         details = {**core.counts, "last map refused": next(reversed(core.knowledge.refusals), "-")}
         fields = convert.status_fields(core.status, name, details)
-        fields["values"] = [KeyValue(key=key, value=value) for key, value in fields["values"]]
-        array = DiagnosticArray(status=[convert.fill(DiagnosticStatus(), fields)])
-        header = convert.header_fields(time_of(self), "")
-        self._statuses.publish(convert.fill(array, {"header": header}))
+        self._statuses.publish(diagnostics(fields, time_of(self)))
 
     def _send_velocity(self, velocity: Velocity, now: float) -> None:
         if self._velocities is None:
