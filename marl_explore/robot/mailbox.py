@@ -32,7 +32,6 @@ class Mailbox:
         self._shares: dict[int, dict[int, tuple[int, Share]]] = defaultdict(dict)
         self._passed: set[tuple[int, int]] = set()
         self._new: dict[int, Evidence] = {}
-        self._newest: dict[int, int] = {}
         self._out: list[Envelope] = []
 
     def receive(self, envelope: Envelope) -> None:
@@ -45,9 +44,8 @@ class Mailbox:
             shares = self._shares[message.tick]
             shares.setdefault(message.robot, (envelope.sender, message))
             _forget_first(self._shares)
-            if message.tick > self._newest.get(message.robot, -1):  # a map holds all before it
-                self._newest[message.robot] = message.tick
-                self._new[message.robot] = message.evidence
+            before = self._new.get(message.robot, message.evidence)
+            self._new[message.robot] = before.joined(message.evidence)
 
     def intents(self, tick: int, robots: Iterable[int]) -> dict[int, Intent]:
         """The intents that arrived from some robots for a tick."""
@@ -59,7 +57,7 @@ class Mailbox:
         return {share.robot: share.evidence for _, share in self._sent_by(tick, robots)}
 
     def take_new(self) -> dict[int, Evidence]:
-        """The latest map of each robot that arrived since the last call, however late."""
+        """What each robot's maps that arrived since the last call say together, however late."""
         new, self._new = self._new, {}
         return new
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from marl_explore.config.constants import FREE, UNKNOWN
 from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotSettings, decode
 from marl_explore.robot.driving import ZERO, Drive
 from marl_explore.robot.evidence import Evidence, EvidenceModel
@@ -89,8 +90,23 @@ def test_a_map_is_passed_on_once_and_counted():
     assert mail.sent == {"share": 1}
     assert mail.sent_bytes == {"share": len(envelope.encode())}
     assert mail.shared(4, {5}) == {}  # from nobody it talks to
-    assert mail.take_new() == {2: share.evidence}
+    assert mail.take_new().keys() == {2}
     assert mail.take_new() == {}
+
+
+def test_no_map_hides_another_one_of_the_same_robot():
+    mail, tick = Mailbox(0), 2**40
+    maps = [np.full((3, 3), UNKNOWN, np.int8) for _ in range(3)]
+    for cell, found in enumerate(maps):
+        found[0, cell] = FREE
+    evidence = [
+        Evidence.none(3, 3).looked(found, 1, EvidenceModel(), (2, 2)) for found in maps
+    ]
+    mail.receive(Envelope(1, (0,), Share(1, tick, evidence[0])))  # a wrong tick, far ahead
+    assert (mail.take_new()[1].map[0] == [FREE, UNKNOWN, UNKNOWN]).all()
+    mail.receive(Envelope(1, (0,), Share(1, 6, evidence[1])))
+    mail.receive(Envelope(1, (0,), Share(1, 5, evidence[2])))
+    assert (mail.take_new()[1].map[0] == [UNKNOWN, FREE, FREE]).all()
 
 
 # ---------------------------------------------------------------- sensors
