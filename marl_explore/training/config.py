@@ -48,7 +48,8 @@ class TrainConfig(NetworkSettings):
     """Input of the critic: the joint observation (as in the paper) or the true state."""
     scenes: tuple[str, ...] = ()
     """Kinds of arenas, each with a number of robots, that train side by side in equal shares, such
-    as uniform/3 open-24/6; empty: ``arenas`` alone. The actors must be shared and choose among
+    as uniform/3 uniform-16/4 open-24/6 (kinds of any size may have another side than ``arena``);
+    empty: ``arenas`` alone. The actors must be shared and choose among
     goals; ``arena`` and ``arenas`` are then for validation."""
     episodes: int = 5000
     """Length of training, n_e (episodes of episode_steps steps)."""
@@ -163,9 +164,12 @@ class TrainConfig(NetworkSettings):
             arenas != "" and robots.isdecimal() and int(robots) > 0,
             "scenes",
             scene,
-            "it must be a kind of arenas and a number of robots, such as uniform/4",
+            "it must be a kind of arenas and a number of robots, such as uniform/4 or uniform-16/4",
         )
         arena = replace(self.arena, num_agents=int(robots))
+        kind, _, side = arenas.rpartition("-")
+        if kind in ANY_SIZE and side.isdecimal():
+            arenas, arena = kind, replace(arena, height=int(side), width=int(side))
         arena = arena if arenas in ANY_SIZE else fit(arena, arenas)
         own = arena.num_agents
         require(int(robots) == own, "scenes", scene, f"{arenas} has {own} robots of its own")

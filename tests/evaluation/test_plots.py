@@ -68,6 +68,18 @@ def test_coverage_figure_draws_mean_and_quartiles_in_percent(drawn):
     assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == ["a", "b"]
 
 
+def test_the_coverage_figure_ends_when_all_but_the_slowest_are_done(drawn):
+    steps = torch.arange(301) / 300
+    curves = {f"{end}": (300 / end * steps).clamp(max=1).expand(2, -1) for end in (20, 50)}
+    plots.coverage_figure(curves | {"walk": 0.9 * steps.expand(2, -1)}, "unused")
+    plots.coverage_figure({"walk": 0.9 * steps.expand(2, -1)}, "unused")
+    first, second = (figure.axes[0] for figure in drawn)
+    assert first.get_xlim() == (0, 55)
+    assert line(first, "walk (90% at 300)")[1][-1] == pytest.approx(90)
+    assert second.get_xlim() == (0, 300)
+    assert line(second, "walk")
+
+
 def test_every_line_has_a_style_of_its_own():
     names = [str(i) for i in range(20)]
     styles = {(style["color"], style["linestyle"]) for _, style in line_styles(names)}

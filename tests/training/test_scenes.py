@@ -29,6 +29,19 @@ def test_each_scene_has_its_share_of_the_arenas():
     assert batch[CHOICE_LOG_PROB][:2, :, 1:].eq(0).all()
 
 
+def test_kinds_of_any_size_may_have_another_side():
+    scenes = ("uniform/2", "uniform-16/2", "uniform-v2-14/4", "corridor-24/4")
+    configs = replace(SCENES, scenes=scenes, num_envs=8).scene_configs
+    found = [(one.arenas, one.arena.height, one.arena.width) for one in configs]
+    own = SCENES.arena.height, SCENES.arena.width
+    assert found == [
+        ("uniform", *own),
+        ("uniform", 16, 16),
+        ("uniform-v2", 14, 14),
+        ("corridor-24", 24, 24),
+    ]
+
+
 def test_padding_changes_no_log_probability_entropy_or_value():
     trainer = Trainer(SCENES)
     rollouts = trainer.collect()
@@ -96,6 +109,8 @@ def test_a_run_of_scenes_resumes_to_the_last_bit():
         ({"scenes": ("uniform", "uniform/2")}, "scenes='uniform' .* such as uniform/4"),
         ({"scenes": ("uniform/two", "uniform/2")}, "scenes='uniform/two'"),
         ({"scenes": ("attic-12/2", "uniform/2")}, "attic-12"),
+        ({"scenes": ("uniform-1/2", "uniform/2")}, "1 x 1 cells"),
+        ({"scenes": ("uniform-/2", "uniform/2")}, "uniform-"),
         ({"scenes": ("lidar-32/2", "uniform/2")}, "scenes='lidar-32/2' .* 4 robots of its own"),
         ({"scenes": ("uniform/2", *(f"uniform/{n}" for n in (3, 4, 5)))}, "num_envs=6 .* 4 scenes"),
         ({"algorithm": "happo"}, "scenes=.* it needs algorithm='mappo'"),

@@ -11,44 +11,69 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from marl_explore.evaluation.plots.style import STYLE, draw_band, legend, line_styles, save
-from marl_explore.evaluation.stats import Band, middle_half, seed_mean
+from marl_explore.evaluation.stats import Array, Band, middle_half, seed_mean
 
 MARKED_STEPS = (20, 50, 150)
 """Steps that are marked with a dot in ``tradeoff_figure``."""
+
+_DONE = 0.995
+"""Mean coverage at which a team counts as done."""
 
 
 def coverage_figure(
     curves: Mapping[str, Tensor | Band],
     path: str | Path,
     covers: str = "coverage of the largest map",
+    whole: bool = False,
 ) -> Path:
     """Coverage of the largest map over steps, a line per policy with the middle half shaded.
+
+    The horizontal axis ends when all policies but the slowest are done, and the legend says what
+    that one covers at the last step.
 
     Args:
         curves: per policy [B, T + 1], as from ``metrics.coverage``, or ``stats.middle_half`` of
             it; shares of the target cells.
         path: image file to write.
         covers: label of the vertical axis.
+        whole: whether the horizontal axis shows all steps.
     """
     with matplotlib.rc_context(STYLE):
         # without pyplot, so that a user's backend and open figures are not affected
         figure = Figure(figsize=(7, 3.6), layout="constrained")
         axes = figure.subplots()
-        for name, style in line_styles(curves):
-            curve = curves[name]
-            band = curve if isinstance(curve, Band) else middle_half(curve.numpy())
-            steps = np.arange(len(band.value), dtype=np.float64)
-            draw_band(axes, steps, Band(*(100 * line for line in band)), style)
+        bands = {
+            name: curve if isinstance(curve, Band) else middle_half(curve.numpy())
+            for name, curve in curves.items()
+        }
+        last_step = max(len(band.value) for band in bands.values()) - 1
+        end = last_step if whole else _end_of_interest([band.value for band in bands.values()])
+        for name, style in line_styles(bands):
+            *_, last = value = bands[name].value
+            steps = np.arange(len(value), dtype=np.float64)
+            if value[min(end, len(value) - 1)] < min(_DONE, last):  # goes on beyond the axis
+                style["label"] = f"{name} ({last:.0%} at {len(value) - 1})"
+            draw_band(axes, steps, Band(*(100 * line for line in bands[name])), style)
         axes.set(
             xlabel="step",
             ylabel=f"{covers} (%)",
-            xlim=(0, steps[-1]),
+            xlim=(0, end),
             ylim=(0, 102),
-            title="mean over arenas; middle half shaded",
+            title="How fast teams map arenas\n(mean over arenas, middle half shaded)",
         )
         axes.grid(alpha=0.25)
         legend(figure, axes)
         return save(figure, path)
+
+
+def _end_of_interest(curves: Sequence[Array]) -> int:
+    """The step at which all curves but the slowest have arrived, and a little more."""
+    arrivals = sorted(
+        int((curve >= _DONE).argmax()) if curve[-1] >= _DONE else len(curve) - 1 for curve in curves
+    )
+    last = max(len(curve) - 1 for curve in curves)
+    second = arrivals[-2:][0]
+    return min(last, max(1, second + second // 10))
 
 
 def lab_figure(coverage: Mapping[str, Tensor], path: str | Path) -> Path:
@@ -59,7 +84,7 @@ def lab_figure(coverage: Mapping[str, Tensor], path: str | Path) -> Path:
         path: image file to write.
     """
     curves = {"best map": coverage["best"], "merged map": coverage["merged"]}
-    return coverage_figure(curves, path, covers="known target cells")
+    return coverage_figure(curves, path, covers="known target cells", whole=True)
 
 
 def communication_figure(shares: Mapping[str, Mapping[str, Tensor]], path: str | Path) -> Path:
@@ -77,8 +102,13 @@ def communication_figure(shares: Mapping[str, Mapping[str, Tensor]], path: str |
         "useful_share": "communicate actions that\nenlarged the sender's map (%)",
     }
     with matplotlib.rc_context(STYLE):
-        height = 1.4 + 0.28 * len(shares)
+        height = 1.6 + 0.28 * len(shares)
         figure = Figure(figsize=(7, height), layout="constrained")
+        figure.suptitle(
+            "How often robots communicate, and how often it helps\n"
+            "(mean, middle half, 5 to 95 % of arenas)",
+            fontsize=STYLE["axes.titlesize"],
+        )
         for axes, (key, title) in zip(
             figure.subplots(1, 2, sharey=True), panels.items(), strict=True
         ):
@@ -125,7 +155,7 @@ def seeds_figure(
         axes.set(
             xlabel=label,
             ylim=(len(scores) - 0.4, -0.6),
-            title="one dot per seed; mean over seeds with its 95 % interval",
+            title="A dot per training seed\n(bar: mean with its 95 % interval)",
         )
         axes.set_yticks(range(len(scores)), list(scores))
         axes.grid(axis="x", alpha=0.25)
@@ -166,6 +196,7 @@ def enlargement_figure(
         axes.set(
             xlabel="cells",
             ylabel="merges that add more than this\nto a member's map (%)",
+            title="What merges add to maps\n(line: the most that a move can discover)",
         )
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
@@ -193,7 +224,8 @@ def tradeoff_figure(curves: Mapping[str, tuple[Tensor, Tensor]], path: str | Pat
             xlabel="map cells sent by all robots so far",
             ylabel="coverage of the largest map (%)",
             ylim=(0, 102),
-            title=f"means over arenas; dots at steps {', '.join(map(str, MARKED_STEPS))}",
+            title="What coverage costs in cells sent\n(means over arenas, dots at steps "
+            f"{', '.join(map(str, MARKED_STEPS))})",
         )
         axes.set_xscale("symlog", linthresh=100)  # includes 0, for robots that never communicate
         axes.set_xlim(left=-5)
