@@ -14,7 +14,7 @@ from marl_explore.core.survivors import largest_of_living, mean_of_living, some_
 
 
 class StepRecord(NamedTuple):
-    """What one step did, the argument of a reward; |M| is the number of known cells of a map."""
+    """What one step did, the argument of a reward; ``|M|``: known cells of a map."""
 
     action: Tensor
     """int64 [*B, N]."""
@@ -27,7 +27,7 @@ class StepRecord(NamedTuple):
     received: Tensor
     """New cells of the own map from merging, int64 [*B, N]."""
     known: Tensor
-    """|M_i| after the step, int64 [*B, N]."""
+    """``|M_i|`` after the step, int64 [*B, N]."""
     unshared: Tensor
     """q_ij before the step's merges reset it, int64 [*B, N, N] (cells)."""
     missing: Tensor
@@ -53,7 +53,7 @@ class StepRecord(NamedTuple):
 
     @property
     def gain(self) -> Tensor:
-        """|M_i^t| - |M_i^(t-1)|, int64 [*B, N]."""
+        """``|M_i^t| - |M_i^(t-1)|``, int64 [*B, N]."""
         return self.discovered + self.received
 
     @property

@@ -36,8 +36,9 @@ def make_env(
     The state of the episodes is ``make_env(...).base_env.state_dict()``.
 
     Args:
-        config, num_envs, reward, max_steps, terminate_at_coverage, arenas, seed, stream,
-        first_arena, device: as for ``ExplorationEnv``.
+        config, num_envs, reward, max_steps: as for ``ExplorationEnv``.
+        terminate_at_coverage, arenas, seed: as for ``ExplorationEnv``.
+        stream, first_arena, device: as for ``ExplorationEnv``.
         fpr: normalisation of the frontier table: "relative", "proximity", "absolute" or None.
         backend: of the frontier table: "auto", "torch" or "native".
         features: parts of the observation to compute (``transforms.features.FEATURES``).

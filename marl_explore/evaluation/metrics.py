@@ -30,7 +30,7 @@ class Snapshot(NamedTuple):
     union_targets: Tensor
     """Target cells that some living robot knows, int64 [B]."""
     known_cells: Tensor
-    """|M_i|, int64 [B, N]."""
+    """``|M_i|``, int64 [B, N]."""
     union_cells: Tensor
     """Cells that some robot knows, int64 [B]."""
 
@@ -211,7 +211,7 @@ def enlargements(episodes: Episodes) -> Tensor:
 
 
 def cells_sent(episodes: Episodes) -> Tensor:
-    """|M_i| summed over every member of every merge so far, int64 [B, T + 1] (cells)."""
+    """``|M_i|`` summed over every member of every merge so far, int64 [B, T + 1] (cells)."""
     own = episodes.maps.known_cells - episodes.received  # known cells when the member sent its map
     return (own * episodes.merged).sum(-1).cumsum(-1)
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from marl_explore.core.links import linked_others
 
 CommunicationRule = Callable[[TensorDictBase], Tensor]
+"""From the entries of an environment to who communicates: bool [*B, N]."""
 
 
 def never(tensordict: TensorDictBase) -> Tensor:
