@@ -31,7 +31,7 @@ def kernels() -> list[Extension]:
 if __name__ == "__main__":
     setup(
         name=NAME,
-        version="0.1.0",
+        version="0.2.0",
         package_dir={"": "../.."},
         packages=find_packages("../..", include=["marl_explore", "marl_explore.*"]),
         ext_modules=kernels(),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from functools import lru_cache
 from typing import get_args
 
 import torch
@@ -21,6 +23,21 @@ def in_use(kernel: Kernel, backend: Backend, device: torch.device) -> bool:
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} is not one of {BACKENDS}")
-    if backend == "auto":
-        return device.type == "cpu" and MISSING[kernel] is None
+    if backend == "auto" and device.type == "cpu":
+        if MISSING[kernel] is None:
+            return True
+        if not torch.compiler.is_compiling():
+            _say_slow()
+        return False
     return backend == "native"
+
+
+@lru_cache
+def _say_slow() -> None:
+    """Warn once that computations on the CPU have no kernel."""
+    warnings.warn(
+        f"{native.backend()}; everything works, several times slower. A wheel has the kernels, and "
+        "so does an installation with a C compiler",
+        RuntimeWarning,
+        stacklevel=2,
+    )

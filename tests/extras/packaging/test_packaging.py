@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
 import venv
 import zipfile
+from email import message_from_string
 from pathlib import Path
 
 import pytest
@@ -31,8 +33,8 @@ print(marl_explore.__file__, policy(env.reset())["agents", "action"].shape[-1])
 """
 
 
-def run(*command, cwd):
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+def run(*command, cwd, **settings):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | settings
     done = subprocess.run(
         [*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True
     )
@@ -42,10 +44,19 @@ def run(*command, cwd):
 
 def clean_source(folder):
     """The files a release is made of, without anything that was built before."""
-    built = shutil.ignore_patterns("__pycache__", "*.so", "*.pyc", "*.unfinished")
-    shutil.copytree(ROOT / "marl_explore", folder / "marl_explore", ignore=built)
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, folder)
+    built = shutil.ignore_patterns("__pycache__", "*.so", "*.pyc", "*.unfinished", "_build")
+    for name in ("marl_explore", "docs", "recipes"):
+        shutil.copytree(ROOT / name, folder / name, ignore=built)
+    for path in ROOT.iterdir():
+        if path.is_file() and not path.name.startswith("."):
+            shutil.copy(path, folder)
+
+
+def metadata(wheel):
+    """What a wheel says of itself, with the README as the payload."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith("METADATA"))
+        return message_from_string(archive.read(name).decode())
 
 
 @pytest.fixture(scope="module")
@@ -62,24 +73,35 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """An sdist, and a wheel that was built from it."""
-    source, out = tmp_path_factory.mktemp("build"), tmp_path_factory.mktemp("dist")
+    """An sdist, and a wheel that was built from it: ``make dist`` with the tests' Python."""
+    source = tmp_path_factory.mktemp("build")
     clean_source(source)
-    run(sys.executable, "-m", "build", "--outdir", out, cwd=source)
-    (sdist,), (wheel,) = out.glob("*.tar.gz"), out.glob("*.whl")
+    (source / ".venv").mkdir()
+    (source / ".venv" / "bin").symlink_to(Path(sys.prefix) / "bin")
+    for stamp in ("installed", "installed-dev"):  # no need to install it there again
+        (source / ".venv" / stamp).touch()
+    run("make", "dist", cwd=source)
+    (sdist,), (wheel,) = (source / "dist").glob("*.tar.gz"), (source / "dist").glob("*.whl")
     return sdist, wheel
 
 
 @pytest.fixture(scope="module")
 def installed(built, tmp_path_factory):
-    """Python of an environment that has the wheel, what it depends on, and nothing else."""
+    """Python of an environment that has the wheel, what it depends on, and nothing else.
+
+    It is installed where there is no C compiler.
+    """
     folder = tmp_path_factory.mktemp("empty") / "venv"
     venv.create(folder, with_pip=True)
     python = folder / "bin" / "python"
     torch = next(
         line for line in CONSTRAINTS.read_text().splitlines() if line.startswith("torch==")
     )
-    run(python, "-m", "pip", "install", "-q", "-c", CONSTRAINTS, torch, built[1], cwd=folder)
+    run(
+        *(python, "-m", "pip", "install", "-q", "-c", CONSTRAINTS, torch, built[1]),
+        cwd=folder,
+        CC="/no/compiler",
+    )
     return python
 
 
@@ -101,15 +123,35 @@ def test_both_hold_every_file_of_the_package(built, files):
     assert {n for n in names if n.startswith("marl_explore/")} == files | kernels
     with tarfile.open(sdist) as archive:
         top = sdist.name.removesuffix(".tar.gz")
-        assert {f"{top}/{name}" for name in files} <= set(archive.getnames())
+        names = set(archive.getnames())
+    assert {f"{top}/{name}" for name in files} <= names
+    others = ("docs/api.md", "docs/images/explore.png", "recipes/demo.py", "Makefile")
+    assert {f"{top}/{name}" for name in others} <= names
+    assert not [name for name in names if name.endswith((".so", ".pyc"))]
+
+
+def test_one_wheel_fits_all_versions_of_python_and_old_systems(built):
+    name = built[1].name
+    assert f"-{metadata(built[1])['Version']}-cp310-abi3-manylinux" in name
+    assert name.endswith("manylinux_2_17_x86_64.whl")
+
+
+def test_links_of_the_readme_work_outside_the_repository(built):
+    said = metadata(built[1])
+    links = re.findall(r"\]\(([^)]+)\)", said.get_payload())
+    assert len(links) > 10
+    assert all(link.startswith(("https://", "#")) for link in links)
+    (repository,) = (
+        url.split(", ")[1] for url in said.get_all("Project-URL") if url.startswith("Repository")
+    )
+    ours = [link for link in links if link.startswith(repository)]
+    paths = {link.split("#")[0].split("/main/")[1] for link in ours}
+    assert paths
+    assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
 def test_the_wheel_declares_extras(built):
-    with zipfile.ZipFile(built[1]) as archive:
-        (name,) = (n for n in archive.namelist() if n.endswith("METADATA"))
-        metadata = archive.read(name).decode()
-    for extra in EXTRAS:
-        assert f"Provides-Extra: {extra}\n" in metadata
+    assert {*EXTRAS} <= {*metadata(built[1]).get_all("Provides-Extra")}
 
 
 def test_it_works_in_an_empty_environment(installed, tmp_path):
