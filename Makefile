@@ -88,7 +88,7 @@ speed: $(VENV)/installed-dev
 dist: $(VENV)/installed-dev
 	rm -rf dist
 	$(BIN)/python -m build -q --outdir dist/plain
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m auditwheel repair --wheel-dir dist dist/plain/*.whl
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python -m auditwheel repair --wheel-dir dist dist/plain/*.whl
 	mv dist/plain/*.tar.gz dist
 	rm -r dist/plain
 

@@ -76,11 +76,8 @@ def built(tmp_path_factory):
     """An sdist, and a wheel that was built from it: ``make dist`` with the tests' Python."""
     source = tmp_path_factory.mktemp("build")
     clean_source(source)
-    (source / ".venv").mkdir()
-    (source / ".venv" / "bin").symlink_to(Path(sys.prefix) / "bin")
-    for stamp in ("installed", "installed-dev"):  # no need to install it there again
-        (source / ".venv" / stamp).touch()
-    run("make", "dist", cwd=source)
+    # with the environment of the tests as it is
+    run("make", "dist", f"VENV={sys.prefix}", "-o", f"{sys.prefix}/installed-dev", cwd=source)
     (sdist,), (wheel,) = (source / "dist").glob("*.tar.gz"), (source / "dist").glob("*.whl")
     return sdist, wheel
 
@@ -109,7 +106,7 @@ def test_both_hold_every_file_of_the_package(built, files):
     sdist, wheel = built
     assert {"marl_explore/py.typed", "marl_explore/evaluation/replay/player.js"} < files
     with zipfile.ZipFile(wheel) as archive:
-        names = set(archive.namelist())
+        names = {name for name in archive.namelist() if not name.endswith("/")}
     assert files <= names
     kernels = {name for name in names if name.startswith("marl_explore/core/native/_")} - files
     assert {name.split("/")[-1].split(".")[0] for name in kernels} == {
