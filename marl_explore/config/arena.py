@@ -205,6 +205,16 @@ class ArenaConfig:
         """A setting as one entry per robot."""
         return value if isinstance(value, tuple) else (value,) * self.num_agents
 
+    @property
+    def types(self) -> tuple[tuple[int, ...], ...]:
+        """The robots of each type, with the same sensor, radio and speed, in the order of their
+        numbers."""
+        settings = zip(*(self.each_robot(getattr(self, name)) for name in PER_ROBOT), strict=True)
+        types: dict[tuple[float, ...], list[int]] = {}
+        for robot, own in enumerate(settings):
+            types.setdefault(own, []).append(robot)
+        return tuple(map(tuple, types.values()))
+
     @cached_property
     def sight(self) -> Sight:
         """The robots' sensors, in cells."""

@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import ProbabilisticTensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import GRUModule, LSTMModule
 
-from marl_explore.happo.views import View, in_group
+from marl_explore.happo.views import View, agents_of, in_group
 
 ACTOR_OPTIONS = (
     "device",
@@ -118,10 +118,12 @@ def _check_actor(name: str, actor: Any) -> None:
 
 def _check_view(name: str, view: Any, keys: Iterable[NestedKey]) -> None:
     fits = isinstance(view, tuple) and len(view) == 2
-    if not (fits and isinstance(view[1], int) and not isinstance(view[1], bool) and view[1] >= 0):
+    agents = agents_of(view) if fits else ()
+    valid = all(isinstance(i, int) and not isinstance(i, bool) and i >= 0 for i in agents)
+    if not agents or not valid or len(set(agents)) < len(agents):
         raise ValueError(
             f"views[{name!r}]={view!r} is not allowed: it must be (group, index), with an index "
-            "of 0 or more"
+            "of 0 or more, or a tuple of different ones"
         )
     if not any(in_group(key, view[0]) for key in keys):
         raise ValueError(f"views[{name!r}] is of the group {view[0]!r}, but it reads {keys}")
@@ -134,12 +136,21 @@ def _check_one_actor_per_agent(actors: Mapping[str, Any], views: Mapping[str, Vi
         actions = getattr(actor, "dist_sample_keys", None)
         view = views.get(name)
         for other, theirs, seen in owners:
-            if actions is not None and actions == theirs and (not view or not seen or view == seen):
+            if actions is not None and actions == theirs and _meet(view, seen):
                 raise ValueError(
                     f"{other!r} and {name!r} both act for {actions[0]!r}: give each actor its own "
                     "agent, by views={actor: (group, index)} or group_map=env.group_map"
                 )
         owners.append((name, actions, view))
+
+
+def _meet(one: View | None, other: View | None) -> bool:
+    """Whether two views of the same entry have an agent in common; None has all."""
+    if one is None or other is None:
+        return True
+    return unravel_key(one[0]) == unravel_key(other[0]) and bool(
+        {*agents_of(one)} & {*agents_of(other)}
+    )
 
 
 def _check_parameters(parts: Iterable[tuple[str, Any]]) -> None:

@@ -65,10 +65,11 @@ class HAPPOLoss(TeamCriticLoss):
             ones (``LSTMModule``, ``GRUModule``) are unrolled over whole rows [*B, T] of a rollout.
         critic: module that writes ``value`` from the joint observation or the state; None for
             actors alone.
-        views: per actor the (group, index) it reads: its slice of a stacked group [*B, N, ...].
-            An actor without a view reads its own group. Groups may differ in action space. If k
-            agents share an actor, [*B, k, ...], each agent's ratio is clipped on its own, as in
-            MAPPO, and M is multiplied by their product.
+        views: per actor the (group, index) it reads: its slice of a stacked group [*B, N, ...];
+            or (group, (index, ...)) for the agents that share it, of one type, say. An actor
+            without a view reads its own group. Groups may differ in action space. If k agents
+            share an actor, [*B, k, ...], each agent's ratio is clipped on its own, as in MAPPO,
+            and M is multiplied by their product.
         group_map: in place of views, an environment's agents by group; the actors then have the
             names of agents or of whole groups (``views_of``).
         clip_epsilon: half width of the clipping range of the ratio.

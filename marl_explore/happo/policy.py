@@ -10,14 +10,15 @@ from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from marl_explore.happo.views import View, in_group, slice_agent
+from marl_explore.happo.views import View, agents_of, in_group, slice_agent
 
 
 class TeamPolicy(TensorDictModuleBase):
-    """Actors that each act for one agent of a stacked group, or for a whole group.
+    """Actors that each act for an agent of a stacked group, for several, or for a whole group.
 
-    Every actor reads its slice [*B, ...] of the group's entries [*B, N, ...]; what it writes into
-    the group, and under "next" into the group (the states of recurrent actors), is stacked again.
+    Every actor reads its slice of the group's entries [*B, N, ...], [*B, ...] or, for k agents,
+    [*B, k, ...]; what it writes into the group, and under "next" into the group (the states of
+    recurrent actors), is stacked again.
     It calls one actor after the other: for networks of the same kind, one call over stacked
     parameters is faster.
 
@@ -26,8 +27,8 @@ class TeamPolicy(TensorDictModuleBase):
         views: per actor its group and index in it; none for actors of whole groups.
 
     Raises:
-        ValueError: when a group's actors do not have the indices 0 ... k - 1, each once; when
-            called, if the group has other than k agents.
+        ValueError: when a group's actors do not have the indices 0 ... k - 1 together, each once;
+            when called, if the group has other than k agents.
     """
 
     def __init__(self, actors: Mapping[str, nn.Module], views: Mapping[str, View]) -> None:
@@ -35,11 +36,13 @@ class TeamPolicy(TensorDictModuleBase):
         self.actors: Mapping[str, Any] = nn.ModuleDict(actors)  # type: ignore[assignment]
         self.views = dict(views)
         self.groups: dict[NestedKey, list[str]] = {}
-        for name in sorted(self.views, key=lambda name: self.views[name][1]):
+        for name in sorted(self.views, key=lambda name: agents_of(self.views[name])):
             self.groups.setdefault(unravel_key(self.views[name][0]), []).append(name)
+        self._places: dict[NestedKey, list[int]] = {}  # of each agent in the rows of all actors
         for group, names in self.groups.items():
-            indices = [self.views[name][1] for name in names]
-            if indices != [*range(len(names))]:
+            indices = [index for name in names for index in agents_of(self.views[name])]
+            self._places[group] = sorted(range(len(indices)), key=indices.__getitem__)
+            if sorted(indices) != [*range(len(indices))]:
                 raise ValueError(
                     f"a policy needs an actor for every agent of the group {group!r}: those with "
                     f"views, {names}, have the indices {indices}"
@@ -56,20 +59,27 @@ class TeamPolicy(TensorDictModuleBase):
         axis = tensordict.ndim
         for group, names in self.groups.items():
             rows: dict[NestedKey, list[Tensor]] = {}
+            places = self._places[group]
             for name in names:
                 entries = {key: tensordict.get(key) for key in self.actors[name].in_keys}
                 for key, entry in entries.items():
-                    if in_group(key, group) and entry.shape[axis] != len(names):
+                    if in_group(key, group) and entry.shape[axis] != len(places):
                         raise ValueError(
                             f"{key!r} has shape {[*entry.shape]}, but the group {group!r} has "
-                            f"actors for {len(names)} agents"
+                            f"actors for {len(places)} agents"
                         )
                 own = slice_agent(tensordict, entries, self.views[name], name)
                 written = self.actors[name](own)
+                single = not isinstance(self.views[name][1], tuple)
                 for key in self._written(name):
-                    rows.setdefault(key, []).append(written.get(key))
+                    entry = written.get(key)
+                    rows.setdefault(key, []).append(entry.unsqueeze(axis) if single else entry)
             for key, row in rows.items():
-                tensordict.set(key, torch.stack(row, axis))
+                together = torch.cat(row, axis)
+                if places != [*range(len(places))]:
+                    order = torch.tensor(places, device=together.device)
+                    together = together.index_select(axis, order)
+                tensordict.set(key, together)
         return tensordict
 
     def _written(self, name: str) -> list[NestedKey]:

@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
+import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torch import Tensor
 
-View = tuple[NestedKey, int]
-"""A group and the index of an agent in it."""
+View = tuple[NestedKey, int | tuple[int, ...]]
+"""A group and the index of an agent in it, or those of several agents that share an actor."""
+
+
+def agents_of(view: View) -> tuple[int, ...]:
+    """The indices of a view's agents in their group."""
+    return view[1] if isinstance(view[1], tuple) else (view[1],)
 
 
 def views_of(names: Iterable[str], group_map: Mapping[str, Sequence[str]]) -> dict[str, View]:
@@ -68,7 +74,9 @@ def in_group(key: NestedKey, group: NestedKey) -> bool:
 def slice_agent(
     batch: TensorDictBase, entries: Mapping[NestedKey, Tensor], view: View, name: str
 ) -> TensorDictBase:
-    """One agent's entries [*B, ...]: slices of its group's [*B, N, ...]; others are not sliced.
+    """The entries of a view: slices of its group's [*B, N, ...]; others are not sliced.
+
+    One agent's are [*B, ...], those of a tuple of k agents [*B, k, ...].
 
     Raises:
         ValueError: when the group's entries do not all have an agents' axis that holds the index.
@@ -78,14 +86,21 @@ def slice_agent(
     grouped = {key: entry for key, entry in entries.items() if in_group(key, group)}
     sizes = {entry.shape[axis : axis + 1] for entry in grouped.values()}
     agents = sizes.pop() if len(sizes) == 1 else ()
-    if not agents or index >= agents[0]:
+    last = max(agents_of(view))
+    if not agents or last >= agents[0]:
         shapes = ", ".join(f"{key!r} {[*entry.shape]}" for key, entry in grouped.items())
         raise ValueError(
             f"views[{name!r}]={view!r} does not fit the batch of shape {[*batch.batch_size]}: the "
-            f"axis after those of the batch must be that of the agents, more than {index} of them, "
+            f"axis after those of the batch must be that of the agents, more than {last} of them, "
             f"in every entry of {group!r}; they are {shapes}"
         )
     own = TensorDict({}, batch_size=batch.batch_size, device=batch.device)
     for key, value in entries.items():
-        own.set(key, value.select(axis, index) if key in grouped else value)
+        own.set(key, _slice(value, axis, index) if key in grouped else value)
     return own
+
+
+def _slice(entry: Tensor, axis: int, index: int | tuple[int, ...]) -> Tensor:
+    if isinstance(index, int):
+        return entry.select(axis, index)
+    return entry.index_select(axis, torch.tensor(index, device=entry.device))

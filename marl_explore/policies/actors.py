@@ -24,6 +24,7 @@ from marl_explore.core.motion import give_way
 from marl_explore.planners.goal_moves import follow
 from marl_explore.policies.networks.inputs import by_robot, observation_keys, robots_first
 from marl_explore.policies.stacking import UnknownLayerError, stack_modules
+from marl_explore.transforms.features import FEATURES
 from marl_explore.transforms.goals import Candidates
 from marl_explore.transforms.memory import GOAL
 
@@ -41,11 +42,18 @@ class MultiAgentActors(nn.Module):
 
     Args:
         actors: one per robot, or a single one that all robots share.
+        groups: the robots of each actor; None: as said above.
     """
 
-    def __init__(self, actors: Iterable[nn.Module]) -> None:
+    def __init__(
+        self, actors: Iterable[nn.Module], groups: Sequence[Sequence[int]] | None = None
+    ) -> None:
         super().__init__()
         self.actors = nn.ModuleList(actors)
+        several = groups is not None and len(groups) > 1 and any(len(g) > 1 for g in groups)
+        self.groups = [torch.tensor(group) for group in groups or ()] if several else []
+        # where each robot is in the rows of all groups
+        self._places = torch.cat(self.groups).argsort() if self.groups else torch.tensor(())
         self.inputs: tuple[str, ...] = self.actors[0].inputs  # type: ignore[assignment]
         self._together: list[nn.Module] = []  # in a list, so that it is not a submodule
 
@@ -56,7 +64,7 @@ class MultiAgentActors(nn.Module):
         Their weights are copied, so they must not change inside. Actors with layers that cannot be
         stacked run one by one.
         """
-        if len(self.actors) > 1:
+        if len(self.actors) > 1 and not self.groups:
             with suppress(UnknownLayerError):
                 self._together = [stack_modules([*self.actors])]
         try:
@@ -65,9 +73,11 @@ class MultiAgentActors(nn.Module):
             self._together = []
 
     def forward(self, *inputs: Tensor) -> Tensor:
-        """Logits [*B, N, 10]; actor i reads row i, a single one reads all rows."""
+        """Logits [*B, N, 10]; actor i reads the rows of its robots, a single one reads all."""
         if len(self.actors) == 1:
             return self.actors[0](*inputs)
+        if self.groups:
+            return self._of_groups(*inputs)
         if self._together:
             logits = self._together[0](*robots_first(self.inputs, *inputs))
             return logits.movedim(0, -2)
@@ -75,6 +85,15 @@ class MultiAgentActors(nn.Module):
         return torch.stack(
             [actor(*robot) for actor, robot in zip(self.actors, robots, strict=True)], -2
         )
+
+    def _of_groups(self, *inputs: Tensor) -> Tensor:
+        first = robots_first(self.inputs, *inputs)
+        axes = [-1 - FEATURES[name].dims for name in self.inputs]
+        rows = [
+            actor(*(x[group].movedim(0, axis) for x, axis in zip(first, axes, strict=True)))
+            for actor, group in zip(self.actors, self.groups, strict=True)
+        ]
+        return torch.cat(rows, -2).index_select(-2, self._places.to(rows[0].device))
 
 
 class TeamActor(TensorDictModuleBase):
@@ -87,11 +106,17 @@ class TeamActor(TensorDictModuleBase):
     Actors that choose among goals write the choice, its log-probability and, into the memory, the
     goal; the action is the first move to it, unless the yield rule (``core.motion.give_way``) says
     otherwise.
+
+    Args:
+        actors: as for ``MultiAgentActors``.
+        groups: as for ``MultiAgentActors``.
     """
 
-    def __init__(self, actors: Iterable[nn.Module]) -> None:
+    def __init__(
+        self, actors: Iterable[nn.Module], groups: Sequence[Sequence[int]] | None = None
+    ) -> None:
         super().__init__()
-        self.stacked = MultiAgentActors(actors)
+        self.stacked = MultiAgentActors(actors, groups)
         self.to_goals = chooses_goals(self.stacked.actors[0])
         self.observation_keys = observation_keys(self.stacked.inputs)
         self.in_keys: list[NestedKey] = [*self.observation_keys, ACTION_MASK]

@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require
 from marl_explore.config.constants import Ability
 from marl_explore.config.fields import check_types
 from marl_explore.core.frontier import Normalization
@@ -35,16 +36,27 @@ class PolicyConfig(NetworkSettings):
     ablate: tuple[Ability, ...] = ()
     shared: bool = False
     """Whether all robots share one actor."""
+    by_type: bool = False
+    """Whether the robots of each type (``ArenaConfig.types``) share one."""
 
     def __post_init__(self) -> None:
         """Raise an error for settings that are not allowed."""
         check_types(self)
         require_abilities(self.network, self.ablate)
+        require(not (self.shared and self.by_type), "by_type", True, "all robots share one actor")
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The robots of each actor."""
+        robots = tuple(range(self.arena.num_agents))
+        if self.shared:
+            return (robots,)
+        return self.arena.types if self.by_type else tuple((robot,) for robot in robots)
 
     @property
     def num_actors(self) -> int:
-        """Number of networks: one per robot, or one that all share."""
-        return 1 if self.shared else self.arena.num_agents
+        """Number of networks: one per robot or type, or one that all share."""
+        return len(self.groups)
 
     @property
     def weights_memory(self) -> float:
@@ -52,7 +64,7 @@ class PolicyConfig(NetworkSettings):
         return self.num_actors * weights_memory(lambda: self.network.make_actor(self.arena))
 
     def make_actors(self) -> list[nn.Module]:
-        """A newly initialised network per robot, or one that all share."""
+        """A newly initialised network for each of ``groups``."""
         number = self.num_actors
         actors = [self.network.make_actor(self.arena) for _ in range(number)]
         return [Ablated(actor, self.ablate) for actor in actors] if self.ablate else actors
@@ -67,7 +79,7 @@ class Policy(TensorDictModuleBase):
 
     Args:
         config: settings that the networks were built from.
-        actors: a network per robot, or one that all share.
+        actors: a network for each of the configuration's ``groups``.
     """
 
     out_keys: list[NestedKey] = [("agents", "action")]  # noqa: RUF012
@@ -75,7 +87,7 @@ class Policy(TensorDictModuleBase):
     def __init__(self, config: PolicyConfig, actors: Iterable[nn.Module]) -> None:
         super().__init__()
         self.config = config
-        self.team = TeamActor(actors)
+        self.team = TeamActor(actors, config.groups)
         self._features = make_features(config.arena, config.network.features, config.fpr)
         read = [key for feature in self._features for key in feature.in_keys]
         own = {key for feature in self._features for key in feature.out_keys}
@@ -86,7 +98,7 @@ class Policy(TensorDictModuleBase):
 
     @property
     def actors(self) -> nn.ModuleList:
-        """The networks, one per robot or one for all."""
+        """The networks, one for each of the configuration's ``groups``."""
         return self.team.stacked.actors
 
     @property
@@ -102,7 +114,9 @@ class Policy(TensorDictModuleBase):
 
     def actor_of(self, robot: int) -> nn.Module:
         """The network of one robot."""
-        return self.actors[0 if self.config.shared else robot]
+        if self.config.shared:  # also by more robots than it was trained with
+            return self.actors[0]
+        return self.actors[[robot in group for group in self.config.groups].index(True)]
 
     @property
     def _layout(self) -> tuple[Any, ...]:
@@ -117,13 +131,14 @@ class Policy(TensorDictModuleBase):
         Raises:
             ValueError: when its networks differ, or it has fewer actors.
         """
-        enough = other.config.shared or len(other.actors) >= len(self.actors)
+        most = max(group[0] for group in self.config.groups)
+        enough = other.config.shared or other.config.arena.num_agents > most
         if self._layout != other._layout or not enough:
             raise ValueError(
                 f"{len(self.actors)} actors {self._layout} cannot start from {len(other.actors)} "
                 f"{other._layout}"
             )
-        for robot, actor in enumerate(self.actors):
+        for (robot, *_), actor in zip(self.config.groups, self.actors, strict=True):
             actor.load_state_dict(other.actor_of(robot).state_dict())
 
     @torch.no_grad()

@@ -38,6 +38,9 @@ class TrainConfig(NetworkSettings):
     """Normalisation of the frontier table."""
     algorithm: Algorithm = "happo"
     """happo: an actor per robot, updated in turn; mappo: a shared actor; ippo: all independent."""
+    actors: Literal["robot", "type"] = "robot"
+    """Whether happo has an actor per robot, or one per type of robots: those with the same sensor,
+    radio and speed."""
     network: Network = field(default_factory=MLP)
     """Kind of network for the actors and the critic, with its options."""
     init_from: str | None = None
@@ -97,6 +100,7 @@ class TrainConfig(NetworkSettings):
         check_types(self)
         self._require_ranges()
         self._require_networks()
+        self._require_actors()
         self._require_scenes()
         self._require_batch()
 
@@ -130,6 +134,15 @@ class TrainConfig(NetworkSettings):
             "critic_input",
             self.critic_input,
             "ippo's critics must read their own robot's observation",
+        )
+
+    def _require_actors(self) -> None:
+        """Check that there are types of robots to have actors."""
+        require(
+            self.actors == "robot" or (self.algorithm == "happo" and len(self.arena.types) > 1),
+            "actors",
+            self.actors,
+            "it needs algorithm='happo' and robots that differ",
         )
 
     def _require_scenes(self) -> None:

@@ -1,8 +1,8 @@
 """Learners: actors, their critic and the optimisers, updated on a batch.
 
-HAPPO has one learner, whose actors, one per robot, are updated in turn. MAPPO has one learner with
-a single actor that all robots share; HAPPO's update of a single actor is MAPPO's. IPPO has a
-learner per robot, each with a critic of that robot's own observation.
+HAPPO has one learner, whose actors, one per robot or type of robots, are updated in turn. MAPPO has
+one learner with a single actor that all robots share; HAPPO's update of a single actor is MAPPO's.
+IPPO has a learner per robot, each with a critic of that robot's own observation.
 """
 
 from __future__ import annotations
@@ -35,8 +35,12 @@ def make_learners(config: TrainConfig, policy: Policy) -> dict[str, Learner]:
     if config.algorithm == "mappo":
         team = probabilistic_actor(MultiAgentActors(policy.actors))
         return {TEAM: Learner(config, _loss(config, {TEAM: team}, {}))}
-    actors = {f"robot_{i}": probabilistic_actor(actor) for i, actor in enumerate(policy.actors)}
-    views: dict[str, View] = {name: ("agents", i) for i, name in enumerate(actors)}
+    kind, groups = ("type" if config.actors == "type" else "robot"), policy.config.groups
+    actors = {f"{kind}_{i}": probabilistic_actor(actor) for i, actor in enumerate(policy.actors)}
+    views: dict[str, View] = {
+        name: ("agents", group if config.actors == "type" else group[0])
+        for name, group in zip(actors, groups, strict=True)
+    }
     if config.algorithm == "happo":
         return {TEAM: Learner(config, _loss(config, actors, views))}
     return {

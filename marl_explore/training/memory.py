@@ -13,8 +13,14 @@ COPIES = 4
 
 def policy_config(config: TrainConfig) -> PolicyConfig:
     """Settings of the policy that a run trains."""
-    shared = config.algorithm == "mappo"
-    return PolicyConfig(config.arena, config.network, config.fpr, config.ablate, shared)
+    return PolicyConfig(
+        config.arena,
+        config.network,
+        config.fpr,
+        config.ablate,
+        shared=config.algorithm == "mappo",
+        by_type=config.actors == "type",
+    )
 
 
 def require_training_memory(config: TrainConfig) -> None:

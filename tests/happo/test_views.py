@@ -180,3 +180,83 @@ def test_on_the_exploration_environment_it_acts_as_the_stacked_actors_do():
     for key in (("agents", "action"), ("agents", "map"), ("next", "reward")):
         assert torch.equal(ours[key], theirs[key]), key
     assert_close(ours["agents", "action_log_prob"], theirs["agents", "action_log_prob"])
+
+
+# ------------------------------------------------------- several agents, one actor
+
+TYPES = {"scouts": ("agents", (3, 0)), "mappers": ("agents", (1, 2))}
+
+
+def typed_loss():
+    actors = {name: masked_actor(ground_network(), "agents") for name in TYPES}
+    return HAPPOLoss(actors, views=TYPES, clip_epsilon=0.2)
+
+
+def test_agents_of_one_type_act_by_their_actor_in_the_order_of_the_group():
+    loss = typed_loss()
+    batch = TensorDict(
+        {
+            "agents": {
+                "observation": torch.randn(5, ROBOTS, FEATURES),
+                "action_mask": random_mask(5, ROBOTS),
+            }
+        },
+        [5],
+    )
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        loss.make_policy()(batch)
+        for name, (_, robots) in TYPES.items():
+            for robot in robots:
+                own = {k: batch["agents", k][:, robot] for k in ("observation", "action_mask")}
+                alone = loss.actor_losses[name].actor_network(TensorDict({"agents": own}, [5]))
+                for key in ("action", "action_log_prob"):
+                    assert_close(batch["agents", key][:, robot], alone["agents", key])
+
+
+def test_the_objective_of_a_type_is_the_mean_over_its_agents_and_the_factor_their_product():
+    team, loss = make_team(), typed_loss()
+    batch, advantage = team.batch, team.batch["advantage"]
+    ratios = {}
+    for name, (_, robots) in TYPES.items():
+        network = loss.actor_losses[name].actor_network
+        own = {k: batch["agents", k][..., [*robots], :] for k in ("observation", "action_mask")}
+        with torch.no_grad():
+            dist = network.get_dist(TensorDict({"agents": own}, batch.shape))
+            new = dist.log_prob(batch["agents", "action"][..., [*robots]])
+        ratios[name] = (new - batch["agents", "action_log_prob"][..., [*robots]]).exp()
+        clipped = ratios[name].clamp(0.8, 1.2)
+        gains = torch.minimum(ratios[name] * advantage, clipped * advantage)
+        assert_close(loss.actor_loss(batch, name)["loss_objective"], -gains.mean())
+    for name in TYPES:
+        loss.update_factor(batch, name)
+    product = torch.cat([*ratios.values()], -1).prod(-1, keepdim=True)
+    assert_close(batch["factor"], product)
+
+
+@pytest.mark.parametrize("indices", [(), (0, 0), (1, -1), (0, True), [0, 1], (0, 1.0)])
+def test_indices_that_name_no_agents_once(indices):
+    with pytest.raises(ValueError, match=r"views\['a'\]=.* a tuple of different ones"):
+        HAPPOLoss({"a": masked_actor(ground_network(), "agents")}, views={"a": ("agents", indices)})
+
+
+@pytest.mark.parametrize("other", [1, (1,), (2, 1)])
+def test_an_agent_has_not_two_actors(other):
+    actors = {name: masked_actor(ground_network(), "agents") for name in "ab"}
+    with pytest.raises(ValueError, match="'a' and 'b' both act for"):
+        HAPPOLoss(actors, views={"a": ("agents", (0, 1)), "b": ("agents", other)})
+    HAPPOLoss(actors, views={"a": ("agents", (0, 1)), "b": ("agents", (2, 3))})
+
+
+def test_types_that_leave_an_agent_out_make_no_policy():
+    actors = {name: masked_actor(ground_network(), "agents") for name in "ab"}
+    loss = HAPPOLoss(actors, views={"a": ("agents", (0, 2)), "b": ("agents", 3)})
+    with pytest.raises(ValueError, match=r"have the indices \[0, 2, 3\]"):
+        loss.make_policy()
+
+
+def test_an_index_of_several_beyond_the_group():
+    team = make_team()
+    actors = {"a": masked_actor(ground_network(), "agents")}
+    loss = HAPPOLoss(actors, views={"a": ("agents", (0, ROBOTS))})
+    with pytest.raises(ValueError, match=rf"more than {ROBOTS} of them"):
+        loss.actor_loss(team.batch, "a")

@@ -24,6 +24,18 @@ TINY = TrainConfig(
     ppo_epochs=2,
 )
 
+BY_TYPE = replace(
+    TINY,
+    arena=ArenaConfig(
+        height=6,
+        width=6,
+        sensing_range=(1.5, 1.1, 1.1, 1.5),
+        communication_range=(3.0, 2.0, 2.0, 3.0),
+    ),
+    actors="type",
+)
+"""HAPPO with an actor for robots 0 and 3, and one for robots 1 and 2."""
+
 
 def tiny(num_agents=2, **settings):
     """``TINY`` with another team and other settings."""

@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from marl_explore.policies.actors import CHOICE, CHOICE_LOG_PROB
 from marl_explore.training.scenes import join_scenes
 from marl_explore.training.trainer import Trainer
-from tests.helpers.configs import NETWORKS, tiny
+from tests.helpers.configs import BY_TYPE, NETWORKS, tiny
 
 SCENES = tiny(
     algorithm="mappo",
@@ -84,15 +84,16 @@ def test_padding_adds_no_gradient():
         assert_close(2 * with_padding, alone)
 
 
-def test_a_run_of_scenes_resumes_to_the_last_bit():
-    whole = Trainer(SCENES)
+@pytest.mark.parametrize("config", [SCENES, BY_TYPE], ids=["scenes", "types"])
+def test_a_run_resumes_to_the_last_bit(config):
+    whole = Trainer(config)
     expected = [m for _, m in zip(range(4), whole.run(), strict=False)]
-    first = Trainer(SCENES)
+    first = Trainer(config)
     for number, _ in enumerate(first.run()):
         if number == 1:
             state = first.state_dict()
             break
-    second = Trainer(SCENES, fresh=False)
+    second = Trainer(config, fresh=False)
     second.load_state_dict(state)
     times = ("seconds", "rate")
     for one, other in zip(expected[2:], second.run(), strict=False):
