@@ -38,7 +38,7 @@ HALVES = {
     "since": 8.0,
     "linked": 3.0,
     "distance": 6.0,
-    "step": 64.0,
+    "time": 0.5,  # steps of all robots per cell: alike in arenas and teams of any size
     "age of a visit": 32.0,
 }
 """The number h for which n / (n + h) stands for a number n: h is half of the way."""

@@ -372,7 +372,7 @@ def _context(own: Context, links: _Links, unshared: Array, moves: Array) -> Arra
     share = float((unshared / (unshared + HALVES["unshared"])).sum())
     nearest = float(moves[0]) if len(moves) else math.inf
     context = (
-        _share(own.step, HALVES["step"]),
+        _share(own.step * own.robots / max(own.cells, 1), HALVES["time"]),
         len(moves) / MAX_FRONTIERS,
         own.known_cells / max(own.cells, 1),
         _share(links.number, HALVES["linked"]),

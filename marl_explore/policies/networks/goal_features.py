@@ -221,11 +221,11 @@ class FeatureScaling(nn.Module):
         own: dict[str, Tensor], linked: Tensor, filled: Tensor, unshared: Tensor, nearest: Tensor
     ) -> Tensor:
         """``GoalFeatures.context``."""
-        number = filled.sum(-1)
+        number, cells = filled.sum(-1), own["cells"].clamp_min(1)
         parts = (
-            share(own["step"], HALVES["step"]),
+            share(own["step"] * own["robots"] / cells, HALVES["time"]),
             number / MAX_FRONTIERS,
-            own["known_cells"] / own["cells"].clamp_min(1),
+            own["known_cells"] / cells,
             share(linked.sum(-1), HALVES["linked"]),
             own["robots"] / TEAM,
             number > 0,
