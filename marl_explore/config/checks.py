@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 from typing import TypeGuard
 
 MAX_SHOWN = 200
@@ -28,6 +29,11 @@ def is_integer(value: object) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a real number, also one of numpy; True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
 def require_integer(name: str, value: object, low: int, high: int = MAX_INTEGER) -> None:
     """Require an integer from ``low`` to ``high``."""
     allowed = f"an integer of at least {low}"
@@ -37,27 +43,49 @@ def require_integer(name: str, value: object, low: int, high: int = MAX_INTEGER)
     require(fits, name, value, f"it must be {allowed}")
 
 
-def require_positive(name: str, value: float, unit: str = "") -> None:
-    """Require a positive finite number."""
+def require_positive(name: str, value: object, unit: str = "", most: float = math.inf) -> None:
+    """Require a positive finite number of at most ``most``."""
     of = f" of {unit}" if unit else ""
-    require(0 < value < math.inf, name, value, f"it must be a positive finite number{of}")
+    fits = is_number(value) and 0 < value < math.inf
+    require(fits, name, value, f"it must be a positive finite number{of}")
+    _require_at_most(name, value, most, unit)
 
 
-def require_not_negative(name: str, value: float, unit: str = "") -> None:
-    """Require a finite number of at least 0."""
+def require_not_negative(name: str, value: object, unit: str = "", most: float = math.inf) -> None:
+    """Require a finite number of at least 0 and at most ``most``."""
     least = f"0 {unit}".strip()
-    require(0 <= value < math.inf, name, value, f"it must be at least {least}, and finite")
+    fits = is_number(value) and 0 <= value < math.inf
+    require(fits, name, value, f"it must be at least {least}, and finite")
+    _require_at_most(name, value, most, unit)
 
 
-def require_finite(name: str, value: float, unit: str = "") -> None:
-    """Require a finite number."""
+def require_finite(name: str, value: object, unit: str = "", most: float = math.inf) -> None:
+    """Require a finite number that is at most ``most`` on either side of 0."""
     of = f" of {unit}" if unit else ""
-    require(math.isfinite(value), name, value, f"it must be a finite number{of}")
+    fits = is_number(value) and abs(value) < math.inf
+    require(fits, name, value, f"it must be a finite number{of}")
+    _require_at_most(name, value, most, f"{unit} on either side of 0".strip())
 
 
-def require_share(name: str, value: float) -> None:
+def _require_at_most(name: str, value: object, most: float, unit: str) -> None:
+    fits = is_number(value) and abs(value) <= most
+    require(fits, name, value, f"it must be at most {most:g} {unit}".strip())
+
+
+MOST_SECONDS = 1e10
+"""Times that are farther from 0 are not of this century."""
+
+
+def require_time(name: str, value: object) -> None:
+    """Require a time of a clock (seconds)."""
+    fits = is_number(value) and abs(value) <= MOST_SECONDS
+    allowed = f"it must be at most {MOST_SECONDS:g} seconds on either side of 0"
+    require(fits, name, value, allowed)
+
+
+def require_share(name: str, value: object) -> None:
     """Require a number in [0, 1]."""
-    require(0 <= value <= 1, name, value, "it must lie in [0, 1]")
+    require(is_number(value) and 0 <= value <= 1, name, value, "it must lie in [0, 1]")
 
 
 def require_coverage(name: str, value: float | None) -> None:

@@ -6,12 +6,15 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
-from marl_explore.config.checks import require, require_positive
+from marl_explore.config.checks import (
+    require,
+    require_integer,
+    require_positive,
+    require_time,
+)
 
 _PERIODS = 0.01, 86_400.0
 """Shortest and longest period of a tick (seconds)."""
-_LATEST_START = 1e10
-"""Larger times are not of this century: ticks fit into messages (seconds)."""
 
 
 class Clock(Protocol):
@@ -55,12 +58,12 @@ class PeriodClock:
         shortest, longest = _PERIODS
         allowed = f"it must be from {shortest:g} to {longest:g} seconds"
         require(shortest <= period <= longest, "period", period, allowed)
-        allowed = f"it must be at most {_LATEST_START:g} seconds"
-        require(abs(start) <= _LATEST_START, "start", start, allowed)
+        require_time("start", start)
         self.period, self.start = period, start
 
     def tick(self, now: float) -> int:
         """The tick at a time (seconds)."""
+        require_time("now", now)
         return max(-1, math.floor((now - self.start) / self.period))
 
     def begins(self, tick: int) -> float:
@@ -85,6 +88,9 @@ class BarrierClock:
     Args:
         robots: numbers of all robots.
         patience: how long a robot is waited for (seconds).
+
+    Raises:
+        ValueError: when the robots are not numbered from 0 on, or a patience that is none.
     """
 
     announces = True
@@ -92,12 +98,18 @@ class BarrierClock:
     def __init__(self, robots: Iterable[int], patience: float = 60.0) -> None:
         require_positive("patience", patience, "seconds")
         self.patience = patience
+        robots = list(robots)
+        for robot in robots:
+            require_integer("robots", robot, 0)
+        numbered = len(robots) > 0 and sorted(robots) == list(range(len(robots)))
+        require(numbered, "robots", robots, "the numbers of all robots, from 0 on")
         self._through = dict.fromkeys(robots, -1)
         self._missed: set[int] = set()
         self._tick, self._since = 0, math.inf
 
     def tick(self, now: float) -> int:
         """The tick at a time (seconds)."""
+        require_time("now", now)
         self._since = min(self._since, now)  # clocks can be set back
         if now - self._since > self.patience:
             self._missed |= self.waited_for
@@ -107,6 +119,15 @@ class BarrierClock:
         elif latest == self._tick and not self.waited_for:
             self._begin(self._tick + 1, now)
         return self._tick
+
+    def check(self, robots: int) -> None:
+        """Raise an error for a team of another size.
+
+        Raises:
+            ValueError: naming both.
+        """
+        own = len(self._through)
+        require(own == robots, "robots", own, f"the clock is for a team of {robots}")
 
     def begins(self, tick: int) -> None:
         """None: that depends on the robots."""

@@ -23,6 +23,18 @@ class Velocity(NamedTuple):
 
 
 ZERO = Velocity(0.0, 0.0)
+LARGEST = 5.0
+"""Of a robot, and of the distances that it keeps (metres)."""
+_POSITIVE = {
+    "max_forward": ("metres per second", 10.0),
+    "max_turn": ("radians per second", 100.0),
+    "arrival": ("metres", LARGEST),
+    "heading_tolerance": ("radians", math.pi),
+    "forward_gain": ("1/s", 1000.0),
+    "turn_gain": ("1/s", 1000.0),
+    "radius": ("metres", LARGEST),
+}
+"""Units of settings that must be positive, and most of each."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +64,10 @@ class Drive:
     def __post_init__(self) -> None:
         """Check limits and gains."""
         check_types(self)
-        units = {
-            "max_forward": "metres per second",
-            "max_turn": "radians per second",
-            "arrival": "metres",
-            "heading_tolerance": "radians",
-            "forward_gain": "1/s",
-            "turn_gain": "1/s",
-            "radius": "metres",
-        }
-        for name, unit in units.items():
-            require_positive(name, getattr(self, name), unit)
+        for name, (unit, most) in _POSITIVE.items():
+            require_positive(name, getattr(self, name), unit, most)
         for name in ("clearance", "margin"):
-            require_not_negative(name, getattr(self, name), "metres")
+            require_not_negative(name, getattr(self, name), "metres", LARGEST)
 
     def arrived(self, pose: Pose, goal: tuple[float, float]) -> bool:
         """Whether a robot is at its goal, (x, y) in metres."""

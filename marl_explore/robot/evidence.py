@@ -24,6 +24,8 @@ MOST_LOOKS = 7
 MOST_TICKS_PER_LOOK = 32
 NEVER_SEEN = -1
 """Rank of an unknown cell."""
+MOST_RANK = 2**62
+"""Largest rank, so that sums of ranks fit into 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,25 @@ class Evidence:
         """Unknown, free and occupied cells, int8 [H, W]."""
         codes = np.where(self.looks > 0, np.int8(OCCUPIED), np.int8(FREE))
         return np.where(self.looks == 0, np.int8(UNKNOWN), codes)
+
+    def check(self) -> None:
+        """Raise an error for what cannot be the evidence for a map.
+
+        Raises:
+            ValueError: saying why.
+        """
+        looks, rank = self.looks, self.rank
+        for name, array, kind in (("looks", looks, np.int8), ("rank", rank, np.int64)):
+            if getattr(array, "dtype", None) != kind or array.ndim != 2:
+                raise ValueError(f"{name} of evidence are not allowed: not {kind.__name__} [H, W]")
+        if rank.shape != looks.shape:
+            raise ValueError(f"evidence of {looks.shape} looks and {rank.shape} ranks")
+        if (np.abs(looks.astype(np.int64)) > MOST_LOOKS).any():
+            raise ValueError(f"evidence of more than {MOST_LOOKS} looks")
+        if (rank < NEVER_SEEN).any():
+            raise ValueError("evidence of looks before the first tick")
+        if (rank > MOST_RANK).any() or (rank[looks == 0] != NEVER_SEEN).any():
+            raise ValueError(f"evidence of a rank that there cannot be: at most {MOST_RANK}")
 
     def looked(self, found: Map, tick: int, model: EvidenceModel, stood: GridCell) -> Evidence:
         """The evidence after one more look.

@@ -7,9 +7,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import require_finite
 
 GridCell = tuple[int, int]
 """(row, column); row 0 is north."""
+
+
+FARTHEST_MOUNT = 5.0
+"""How far a sensor is from its robot's middle at most, along either axis (metres)."""
+MOST_YAW = 1e4
+"""Largest heading, on either side of 0: of a robot that counts its turns (radians)."""
 
 
 class Mount(NamedTuple):
@@ -21,6 +28,19 @@ class Mount(NamedTuple):
     """To the left (metres)."""
     yaw: float = 0.0
     """Its own heading, 0 ahead, counter-clockwise (radians)."""
+
+    def check(self, prefix: str = "") -> None:
+        """Raise an error for numbers that are none, and for a sensor that is on no robot.
+
+        Args:
+            prefix: of the names in the error.
+
+        Raises:
+            ValueError: naming the field and its value.
+        """
+        require_finite(f"{prefix}x", self.x, "metres", FARTHEST_MOUNT)
+        require_finite(f"{prefix}y", self.y, "metres", FARTHEST_MOUNT)
+        require_finite(f"{prefix}yaw", self.yaw, "radians", MOST_YAW)
 
 
 class Disc(NamedTuple):

@@ -15,6 +15,8 @@ from marl_explore.robot.merging import Fit
 from marl_explore.robot.messages import Pose
 
 _KEPT = 32
+_MOST = 1000.0
+"""Larger limits would notice no jump (metres, radians)."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,8 @@ class JumpLimits:
     def __post_init__(self) -> None:
         """Check the limits."""
         check_types(self)
-        require_positive("distance", self.distance, "metres")
-        require_positive("turn", self.turn, "radians")
+        require_positive("distance", self.distance, "metres", _MOST)
+        require_positive("turn", self.turn, "radians", _MOST)
         require_share("share", self.share)
         require_integer("patience", self.patience, 0)
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_explore.config.checks import (
-    require_finite,
     require_integer,
     require_not_negative,
     require_positive,
 )
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
 from marl_explore.config.fields import check_types
+from marl_explore.robot.driving import LARGEST
 from marl_explore.robot.geometry import Disc, Frame, GridCell, Mount
 from marl_explore.robot.messages import Pose, Scan
 
@@ -48,13 +48,11 @@ class BeamModel:
     def __post_init__(self) -> None:
         """Check the settings."""
         check_types(self)
-        require_positive("tolerance", self.tolerance, "metres")
+        require_positive("tolerance", self.tolerance, "metres", LARGEST)
         for name in ("margin", "robot_radius"):
-            require_not_negative(name, getattr(self, name), "metres")
+            require_not_negative(name, getattr(self, name), "metres", LARGEST)
         require_integer("votes", self.votes, 1)
-        units = {"lidar_x": "metres", "lidar_y": "metres", "lidar_yaw": "radians"}
-        for name, unit in units.items():
-            require_finite(name, getattr(self, name), unit)
+        self.mount.check("lidar_")
 
     @property
     def mount(self) -> Mount:

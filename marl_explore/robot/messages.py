@@ -10,9 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_explore.config.checks import (
+    is_integer,
+    require,
+    require_finite,
+    require_not_negative,
+)
 from marl_explore.config.constants import NUM_ACTIONS
+from marl_explore.config.fields import check_type
 from marl_explore.robot.evidence import Evidence
-from marl_explore.robot.geometry import GridCell, Mount
+from marl_explore.robot.geometry import MOST_YAW, GridCell, Mount
 from marl_explore.robot.packing import pack, unpack
 
 MOST_TICKS = 2**53
@@ -24,11 +31,8 @@ _FARTHEST = 1e6
 """Largest coordinate of a pose: arenas are far smaller, and numbers stay exact (metres)."""
 
 
-def _require_finite(measured: Pose | Scan, *names: str) -> None:
-    for name in names:
-        value = getattr(measured, name)
-        if not math.isfinite(value):
-            raise ValueError(f"{name}={value!r} is not allowed: it must be a finite number")
+_MOST_ANGLE = 4 * math.pi
+"""Largest angle of a scan's first beam, on either side of 0 (radians)."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +50,18 @@ class Pose:
     """Heading, 0 to the east, counter-clockwise (radians)."""
 
     def check(self) -> None:
-        """Raise an error for numbers that are not finite, and for places that are in no arena.
+        """Raise an error for numbers that are none or not finite, and for places in no arena.
 
         Raises:
             ValueError: naming the field and its value.
         """
-        _require_finite(self, "stamp", "x", "y", "yaw")
+        require_finite("stamp", self.stamp, "seconds")
         for name in ("x", "y"):
-            if abs(getattr(self, name)) > _FARTHEST:
-                raise ValueError(
-                    f"{name}={getattr(self, name)!r} is not allowed: a robot is at most "
-                    f"{_FARTHEST:g} m from the arena's middle"
-                )
+            value = getattr(self, name)
+            require_finite(name, value, "metres")
+            allowed = f"a robot is at most {_FARTHEST:g} m from the arena's middle"
+            require(abs(value) <= _FARTHEST, name, value, allowed)
+        require_finite("yaw", self.yaw, "radians", MOST_YAW)
 
     def of_sensor(self, mount: Mount) -> Pose:
         """The pose of a sensor on the robot."""
@@ -100,14 +104,25 @@ class Scan:
         Raises:
             ValueError: naming the field and its value.
         """
-        _require_finite(self, "stamp", "angle_min", "angle_increment", "range_min", "range_max")
-        if not all(map(math.isfinite, self.mount or ())):
-            raise ValueError(f"mount={self.mount} is not allowed: its numbers must be finite")
-        if self.range_max <= self.range_min:
-            raise ValueError(
-                f"range_max={self.range_max!r} is not allowed: it must be more than "
-                f"range_min={self.range_min!r}"
-            )
+        require_finite("stamp", self.stamp, "seconds")
+        ranges = np.asarray(self.ranges)
+        if ranges.ndim != 1 or ranges.dtype.kind not in "fiu":
+            what = f"{ranges.dtype} of shape {ranges.shape}"
+            raise ValueError(f"ranges={what} is not allowed: they must be real numbers [R]")
+        require_finite("angle_min", self.angle_min, "radians", _MOST_ANGLE)
+        require_finite("angle_increment", self.angle_increment, "radians", 2 * math.pi)
+        allowed = "beams need an angle between them"
+        require(self.angle_increment != 0, "angle_increment", self.angle_increment, allowed)
+        require_not_negative("range_min", self.range_min, "metres")
+        require_finite("range_max", self.range_max, "metres")
+        allowed = f"it must be more than range_min={self.range_min!r}"
+        require(self.range_max > self.range_min, "range_max", self.range_max, allowed)
+        if self.mount is not None:
+            require(isinstance(self.mount, Mount), "mount", self.mount, "it must be a Mount")
+            try:
+                self.mount.check()
+            except ValueError as error:
+                raise ValueError(f"mount={self.mount} is not allowed: {error}") from None
         if not self.is_on:
             raise ValueError(
                 f"a scan in which no range is above range_min={self.range_min} is not allowed: "
@@ -142,10 +157,14 @@ class Intent:
         Raises:
             ValueError: naming it.
         """
-        if not 0 <= self.action < NUM_ACTIONS:
-            raise ValueError(f"action={self.action} is not allowed: 0 to {NUM_ACTIONS - 1}")
-        if not all(0 <= place < size for place, size in zip(self.cell, shape, strict=True)):
-            raise ValueError(f"cell={self.cell} is not allowed: the arena has {shape} cells")
+        fits = is_integer(self.action) and 0 <= self.action < NUM_ACTIONS
+        require(fits, "action", self.action, f"0 to {NUM_ACTIONS - 1}")
+        pair = isinstance(self.cell, tuple) and len(self.cell) == 2
+        require(pair and all(map(is_integer, self.cell)), "cell", self.cell, "(row, column)")
+        inside = all(0 <= place < size for place, size in zip(self.cell, shape, strict=True))
+        require(inside, "cell", self.cell, f"the arena has {shape} cells")
+        for name in ("upright", "sideways"):
+            check_type(name, getattr(self, name), bool)
 
     @classmethod
     def decode(cls, data: bytes) -> Intent:
@@ -169,6 +188,20 @@ class Share:
     def map(self) -> NDArray[np.int8]:
         """Unknown, free and occupied cells, int8 [H, W]."""
         return self.evidence.map
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Raise an error for what cannot be the evidence for a map [H, W].
+
+        Raises:
+            ValueError: saying why.
+        """
+        evidence = self.evidence
+        require(isinstance(evidence, Evidence), "evidence", evidence, "it must be Evidence")
+        evidence.check()
+        if evidence.looks.shape != shape:
+            raise ValueError(
+                f"a map of shape {evidence.looks.shape} is not allowed: the arena's is {shape}"
+            )
 
     def encode(self) -> bytes:
         """Fourteen bytes, then the evidence, packed."""
@@ -273,11 +306,13 @@ class Envelope:
             ValueError: naming what does not fit.
         """
         message = self.message
+        if not isinstance(message, Message):
+            raise ValueError(f"message={message!r} is not allowed: an Intent, a Share or a Done")
         for number in (self.sender, message.robot):
             require_robot(number, robots, "a message")
         if self.sender == receiver:
             raise ValueError(f"a message of robot {receiver} to itself is not allowed")
-        if receiver not in self.to:
+        if not isinstance(self.to, tuple) or receiver not in self.to:
             raise ValueError(
                 f"a message to robots {self.to} is not allowed: this is robot {receiver}"
             )
@@ -287,13 +322,9 @@ class Envelope:
                 f"{self.sender} sent it, and only maps are passed on"
             )
         latest = min(tick + MOST_AHEAD, MOST_TICKS)
-        if not 0 <= message.tick <= latest:
-            raise ValueError(f"tick={message.tick} is not allowed: 0 to {latest}")
-        if isinstance(message, Share) and message.map.shape != shape:
-            raise ValueError(
-                f"a map of shape {message.map.shape} is not allowed: the arena's is {shape}"
-            )
-        if isinstance(message, Intent):
+        fits = is_integer(message.tick) and 0 <= message.tick <= latest
+        require(fits, "tick", message.tick, f"0 to {latest}")
+        if not isinstance(message, Done):
             message.check(shape)
 
 
@@ -303,5 +334,5 @@ def require_robot(number: int, robots: int, what: str) -> None:
     Raises:
         ValueError: naming it.
     """
-    if not 0 <= number < robots:
+    if not (is_integer(number) and 0 <= number < robots):
         raise ValueError(f"{what} of robot {number} is not allowed: 0 to {robots - 1}")

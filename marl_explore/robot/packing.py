@@ -6,12 +6,12 @@ import zlib
 
 import numpy as np
 
-from marl_explore.robot.evidence import MOST_LOOKS, NEVER_SEEN, Evidence
+from marl_explore.robot.evidence import NEVER_SEEN, Evidence
 
 MOST_CELLS = 2**20
 """Of a map that robots share."""
 OLDEST = 2**16 - 1
-_MOST_TICKS = 2**62
+_MOST_TICKS = 2**61
 _AHEAD = 255  # ranks are at most so far ahead of the tick
 _WORTH = 8  # of a look: without it cells seen at one tick have the same age, which packs better
 
@@ -45,14 +45,12 @@ def unpack(data: bytes, height: int, width: int, tick: int) -> Evidence:
         raise ValueError(
             f"a map of {height} x {width} cells has {needed} bytes unpacked, not {len(raw)}"
         )
-    if (np.abs(looks.astype(np.int64)) > MOST_LOOKS).any():
-        raise ValueError(f"evidence of more than {MOST_LOOKS} looks")
     low, high = np.frombuffer(raw[cells:], np.uint8).reshape(2, -1).astype(np.int64)
     rank = np.full(cells, NEVER_SEEN, np.int64)
     rank[known] = tick + _AHEAD - (low | high << 8) + _WORTH * np.abs(looks[known]).astype(np.int64)
-    if (rank < NEVER_SEEN).any():
-        raise ValueError("evidence of looks before the first tick")
-    return Evidence(looks.reshape(height, width), rank.reshape(height, width))
+    evidence = Evidence(looks.reshape(height, width), rank.reshape(height, width))
+    evidence.check()
+    return evidence
 
 
 def _inflated(data: bytes, most: int) -> bytes:

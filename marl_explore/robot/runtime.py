@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from marl_explore.config.arena import ArenaConfig
+from marl_explore.config.checks import is_integer, require, require_time
 from marl_explore.config.constants import (
     COMMUNICATE,
     NUM_ACTIONS,
@@ -16,7 +18,7 @@ from marl_explore.config.constants import (
     Normalization,
 )
 from marl_explore.robot.agreement import Way, agree, target
-from marl_explore.robot.clock import Clock
+from marl_explore.robot.clock import BarrierClock, Clock
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Disc, Frame, GridCell
 from marl_explore.robot.goal_actor import give_way
@@ -56,6 +58,7 @@ class Bound(Protocol):
         """Raise a ``ValueError`` for another size of the team or of the field of view (cells)."""
 
 
+_EVENTS = "it must be a Scan, a Pose or an Envelope"
 CONTENTION_CELLS = 8.0
 """Largest squared distance of two robots whose moves can have the same target (cells)."""
 _APART_CELLS = 2
@@ -99,14 +102,16 @@ class RobotCore:
         fpr: Normalization | Literal["policy"] | None = "policy",
         settings: RobotSettings | None = None,
     ) -> None:
-        if not 0 <= robot < config.num_agents:
-            raise ValueError(f"robot={robot!r} is not allowed: 0 to {config.num_agents - 1}")
+        fits = is_integer(robot) and 0 <= robot < config.num_agents
+        require(fits, "robot", robot, f"0 to {config.num_agents - 1}")
         if isinstance(policy, Bound):
             policy.check(config.num_agents, config.fov_size)
             if policy.robot != robot:
                 raise ValueError(
                     f"robot={robot!r} is not allowed: the policy is that of robot {policy.robot}"
                 )
+        if isinstance(clock, BarrierClock):
+            clock.check(config.num_agents)
         config.require_as_in_paper("the settings are for a robot")
         if config.reach_cells(robot, robot) ** 2 < CONTENTION_CELLS:
             raise ValueError(
@@ -167,8 +172,10 @@ class RobotCore:
 
         Raises:
             ValueError: for a message that cannot come from this team, a stamp in the future or
-                numbers that are not finite; the event is dropped.
+                numbers that are none; the event is dropped.
         """
+        require_time("now", now)
+        require(isinstance(event, Scan | Pose | Envelope), "event", event, _EVENTS)
         if isinstance(event, Scan):
             self._take(event, now)
         elif isinstance(event, Pose):
@@ -218,7 +225,11 @@ class RobotCore:
 
         Args:
             now: the time (seconds), from the same clock as the stamps.
+
+        Raises:
+            ValueError: for a time that is none, or a policy's answer that is no action.
         """
+        require_time("now", now)
         self._since = min(self._since, now)  # clocks can be set back
         while self._phase(now):
             pass
@@ -310,9 +321,7 @@ class RobotCore:
         mask = observation.action_mask.copy()
         if parked:
             mask[:NUM_DIRECTIONS] = False
-        action = int(self.policy(observation._replace(action_mask=mask)))
-        if not 0 <= action < NUM_ACTIONS:
-            raise ValueError(f"the policy's action {action!r} is not one of 0 to 9")
+        action = _action(self.policy(observation._replace(action_mask=mask)))
         if parked and action != COMMUNICATE:
             mask, held = observation.action_mask, self._held_cells(now)
             aside = step_aside(observation.map, observation.position, held)
@@ -494,3 +503,14 @@ class RobotCore:
         if self._phase == self._wait_turn:
             return {robot for robot in self._ways[self.robot].after if not self._has_arrived(robot)}
         return set()
+
+
+def _action(answer: object) -> int:
+    """A policy's answer as the action that it is."""
+    try:
+        action = operator.index(answer)  # type: ignore[arg-type]
+    except TypeError:
+        action = -1
+    if isinstance(answer, bool) or not 0 <= action < NUM_ACTIONS:
+        raise ValueError(f"the policy's action {answer!r} is not one of 0 to 9")
+    return action

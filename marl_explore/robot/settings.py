@@ -12,6 +12,8 @@ from marl_explore.robot.jumps import JumpLimits
 from marl_explore.robot.mapper import BeamModel
 from marl_explore.robot.merging import MergeLimits
 
+_DAY = 86_400.0
+_FARTHEST = 1000.0
 _TIMES = ("max_pose_age", "message_patience", "lock_expiry", "move_expiry", "move_patience")
 
 
@@ -50,9 +52,9 @@ class RobotSettings:
         """Check the times."""
         check_types(self)
         for name in _TIMES:
-            require_positive(name, getattr(self, name), "seconds")
+            require_positive(name, getattr(self, name), "seconds", _DAY)
         for name in ("shut_seconds", "mate_patience"):
-            require_not_negative(name, getattr(self, name), "seconds")
-        require_not_negative("mate_reach", self.mate_reach, "metres")
+            require_not_negative(name, getattr(self, name), "seconds", _DAY)
+        require_not_negative("mate_reach", self.mate_reach, "metres", _FARTHEST)
         if not self.max_scan_age > 0:
             raise ValueError(f"max_scan_age={self.max_scan_age!r} is not allowed: it must be > 0 s")

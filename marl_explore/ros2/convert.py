@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ OK, WARN = b"\x00", b"\x01"
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 PERCENT_OCCUPIED = 100
 """An obstacle in an OccupancyGrid, which holds probabilities in percent; unknown is -1."""
+MOST_TILT = 0.1
+"""Of what must be level: maps and lidars (radians)."""
 LEAST_SQUARE, MOST_SQUARE = 1e-6, 1e6
 """Squares of the lengths of quaternions that were meant to have length 1."""
 
@@ -90,6 +93,27 @@ def to_scan(message: Any, mount: Mount | None = None) -> Scan:
     )
 
 
+def to_mounted_scan(message: Any, transform: Any) -> Scan:
+    """The scan of a LaserScan whose lidar is where a geometry_msgs/Transform has it on the robot.
+
+    A lidar that is upside down turns the other way round.
+
+    Raises:
+        ValueError: for a lidar that is tilted, or an orientation that is none.
+    """
+    moved, turned = transform.translation, transform.rotation
+    tilt = tilt_of(turned)
+    if min(tilt, math.pi - tilt) > MOST_TILT:
+        raise ValueError(
+            f"a lidar that is tilted by {math.degrees(tilt):.0f} degrees is not allowed: it must "
+            "be level, or upside down"
+        )
+    scan = to_scan(message, Mount(float(moved.x), float(moved.y), yaw_of(turned)))
+    if tilt <= MOST_TILT:
+        return scan
+    return replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)
+
+
 def pose_fields(pose: Pose, frame_id: str) -> Fields:
     """geometry_msgs/PoseStamped; ``frame_id`` names the arena's frame."""
     place = Place(float(pose.x), float(pose.y), float(pose.yaw))
@@ -130,13 +154,29 @@ def yaw_of(turned: Any) -> float:
     Raises:
         ValueError: for numbers that are not finite, or are all near 0, as in an empty message.
     """
-    x, y, z, w = (float(getattr(turned, name)) for name in "xyzw")
-    square = x * x + y * y + z * z + w * w
+    x, y, z, w = _unit(turned)
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def tilt_of(turned: Any) -> float:
+    """Angle between what a geometry_msgs/Quaternion turns up and up, 0 to pi (radians).
+
+    Raises:
+        ValueError: as ``yaw_of``.
+    """
+    x, y, _, _ = _unit(turned)
+    return 2 * math.asin(min(math.hypot(x, y), 1.0))
+
+
+def _unit(turned: Any) -> list[float]:
+    """A quaternion's x, y, z, w at length 1."""
+    numbers = [float(getattr(turned, name)) for name in "xyzw"]
+    square = sum(number * number for number in numbers)
     if not MOST_SQUARE > square > LEAST_SQUARE:  # also for NaN
         raise ValueError(
-            f"orientation={(x, y, z, w)!r} is not allowed: it must be a quaternion of length 1"
+            f"orientation={tuple(numbers)!r} is not allowed: it must be a quaternion of length 1"
         )
-    return math.atan2(2 * (w * z + x * y), square - 2 * (y * y + z * z))
+    return [number / math.sqrt(square) for number in numbers]
 
 
 def require_frame(message: Any, frame: str) -> None:
@@ -145,7 +185,7 @@ def require_frame(message: Any, frame: str) -> None:
     Raises:
         ValueError: naming both frames.
     """
-    given = message.header.frame_id.lstrip("/")
+    given, frame = message.header.frame_id.lstrip("/"), frame.lstrip("/")
     if given != frame:
         raise ValueError(f"frame_id={given!r} is not allowed: it must be {frame!r}")
 
@@ -190,16 +230,24 @@ def to_occupancy_map(message: Any) -> OccupancyMap:
 
     Raises:
         ValueError: when there are more or fewer data than cells, or the origin's orientation is
-            none.
+            none or not level.
     """
-    info, data = message.info, np.array(message.data, np.int8)
+    info, data = message.info, np.array(message.data)
     if data.size != info.height * info.width:
         raise ValueError(
             f"data of {data.size} cells are not allowed: the map has {info.height} x {info.width}"
         )
-    corner = info.origin.position
-    origin = Place(float(corner.x), float(corner.y), yaw_of(info.origin.orientation))
-    return OccupancyMap(data.reshape(info.height, info.width), float(info.resolution), origin)
+    percent = data.astype(np.int8)
+    if (percent != data).any():
+        raise ValueError("data beyond -128 to 127 are not allowed: they must be int8")
+    corner, turned = info.origin.position, info.origin.orientation
+    origin = Place(float(corner.x), float(corner.y), yaw_of(turned))
+    if (tilt := tilt_of(turned)) > MOST_TILT:
+        raise ValueError(
+            f"a map that is tilted by {math.degrees(tilt):.0f} degrees is not allowed: it must lie "
+            "level, seen from above"
+        )
+    return OccupancyMap(percent.reshape(info.height, info.width), float(info.resolution), origin)
 
 
 def letter_fields(envelope: Envelope) -> Fields:

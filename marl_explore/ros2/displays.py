@@ -52,12 +52,13 @@ def markers(
     ]
 
 
-def status_fields(status: Status, name: str) -> Fields:
+def status_fields(status: Status, name: str, dropped: int = 0) -> Fields:
     """diagnostic_msgs/DiagnosticStatus; ``values`` are (key, value).
 
     Args:
         status: of the explorer.
         name: of the robot; empty for one without a namespace.
+        dropped: messages that could not be used.
     """
     counts = {
         "state": status.state,
@@ -69,6 +70,7 @@ def status_fields(status: Status, name: str) -> Fields:
         "goals skipped": status.skipped,
         "goals given up": status.given_up,
         "frontiers that stayed": status.exhausted,
+        "messages dropped": dropped,
     }
     team = {"teammate " + said.split(":")[0]: said.split(": ", 1)[1] for said in status.team}
     warns = status.state in ("waiting", "stuck") or any("refused" in said for said in status.team)

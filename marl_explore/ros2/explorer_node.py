@@ -25,7 +25,14 @@ from marl_explore.ros2 import convert, displays
 from marl_explore.ros2.explorer_parameters import ExplorerParameters
 from marl_explore.ros2.listening import Listener
 from marl_explore.ros2.node import LATEST, ParameterNode, diagnostics, run, time_of
-from marl_explore.ros2.pose_sources import POSES, PoseSource, TopicPoses, listen_to_tf
+from marl_explore.ros2.pose_sources import (
+    POSES,
+    PoseSource,
+    TopicPoses,
+    TransformPoses,
+    listen_to_tf,
+)
+from marl_explore.ros2.status_log import Sightings
 
 Kinds = dict[str, type]
 Take = Callable[[Any, Any], None]
@@ -56,7 +63,7 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
             ):
                 self.listeners.append(self._listen(f"/{mate}/{topic}", kinds, take, mate))
         self._shown: tuple[Any, ...] | None = None
-        self._state = ""
+        self._states, self._dropped = Sightings(), 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         if check:
             self._until = time.monotonic() + CHECK_SECONDS
@@ -72,7 +79,8 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
     def _make_source(self) -> PoseSource:
         given = self.given
         if given.pose_source == "tf":
-            return listen_to_tf(self, given.frame, given.base_frame)
+            buffer, missing = listen_to_tf(self, "pose_source='tf'")
+            return TransformPoses(buffer, given.frame, given.base_frame, missing)
         return TopicPoses(self, given.pose_topic, given.frame)
 
     def _listen(self, topic: str, kinds: Kinds, take: Take, mate: str | None = None) -> Listener:
@@ -85,17 +93,19 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
         try:
             take(*message)
         except ValueError as error:
+            self._dropped += 1
             self.get_logger().error(f"dropped from {what}: {error}", throttle_duration_sec=5.0)
 
     def _take_map(self, mate: str | None, message: Any) -> None:
-        if mate is None:
-            convert.require_frame(message, self.given.frame)
+        convert.require_frame(message, self.given.frame_of(mate))
         self.core.take_map(convert.to_occupancy_map(message), mate)
 
     def _take_pose(self, mate: str, message: Any) -> None:
+        convert.require_frame(message, self.given.frame_of(mate))
         self.core.take_place(convert.to_place(message), mate)
 
     def _take_goal(self, mate: str, message: Any) -> None:
+        convert.require_frame(message, self.given.frame_of(mate))
         self.core.take_goal(convert.to_place(message), mate)
 
     def _take_own_place(self) -> None:
@@ -133,10 +143,10 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
         return convert.fill(PoseStamped(), convert.place_fields(place, now, self.given.frame))
 
     def _send_status(self, status: Status, now: float) -> None:
-        if status.state != self._state:
-            self._state = status.state
+        if self._states.is_new(status.state, time.monotonic()):
             self.get_logger().info(f"{status.state}: {status.sentence}")
-        self._statuses.publish(diagnostics(displays.status_fields(status, self.name), now))
+        fields = displays.status_fields(status, self.name, self._dropped)
+        self._statuses.publish(diagnostics(fields, now))
 
     def _send_markers(self, output: Output, now: float) -> None:
         shown = output.frontiers, output.skipped, output.plan

@@ -22,7 +22,7 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import UInt32
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.config.checks import require_positive
+from marl_explore.config.checks import require_integer, require_positive
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.evaluation.episodes import TEST_STREAM
 from marl_explore.lab import LabWorld, Noise
@@ -30,6 +30,7 @@ from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Frame
 from marl_explore.ros2 import convert
+from marl_explore.ros2.names import frame_id, require_team
 from marl_explore.ros2.node import LATEST, ParameterNode, run
 from marl_explore.ros2.parameters import four_robots
 
@@ -63,6 +64,10 @@ class LabParameters:
         """Check the parameters."""
         for name in ("speed", "scan_period", "watchdog", "patience"):
             require_positive(name, getattr(self, name), "seconds")
+        for name in ("number", "seed"):
+            require_integer(name, getattr(self, name), 0)
+        object.__setattr__(self, "frame", frame_id("frame", self.frame))
+        require_team(self.team)
         if len(self.team) != self.arena.num_agents:
             raise ValueError(
                 f"team={self.team!r} is not allowed: the arena has {self.arena.num_agents} robots"

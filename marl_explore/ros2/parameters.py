@@ -9,12 +9,23 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.config.checks import require_positive
+from marl_explore.config.checks import (
+    require,
+    require_integer,
+    require_not_negative,
+    require_positive,
+)
+from marl_explore.config.fields import check_types
 from marl_explore.robot import BarrierClock, ExportedPolicy, PeriodClock, RobotCore, RobotSettings
 from marl_explore.robot.clock import Clock
 from marl_explore.robot.planners import PLANNERS
+from marl_explore.ros2.names import frame_id, require_team
 
 Given = TypeVar("Given")
+MOST_ROBOTS = 16
+"""Of a team."""
+FASTEST_RATE = 1000.0
+"""Per second."""
 
 
 def flat(values: Any, prefix: str = "") -> dict[str, Any]:
@@ -98,6 +109,19 @@ class RobotParameters:
     """Seed of the sampled actions."""
     settings: RobotSettings = field(default_factory=RobotSettings)
 
+    def __post_init__(self) -> None:
+        """Check the parameters that the robot itself does not know, or knows by other names."""
+        check_types(self)
+        require_team(self.team)
+        allowed = f"namespaces of 1 to {MOST_ROBOTS} robots"
+        require(0 < len(self.team) <= MOST_ROBOTS, "team", self.team, allowed)
+        require_integer("robot", self.robot, 0, len(self.team) - 1)
+        require_integer("seed", self.seed, 0)
+        require_positive("rate", self.rate, "1/s", FASTEST_RATE)
+        require_not_negative("period", self.period, "seconds")
+        for name in ("frame", "base_frame"):
+            object.__setattr__(self, name, frame_id(name, getattr(self, name)))
+
     def make_core(self) -> RobotCore:
         """The robot.
 
@@ -105,7 +129,6 @@ class RobotParameters:
             ValueError: when the policy is neither an exported policy nor a planner, or is for
                 another team.
         """
-        require_positive("rate", self.rate, "1/s")
         robots = len(self.team)
         clock: Clock = BarrierClock(range(robots), self.patience)
         if self.period:

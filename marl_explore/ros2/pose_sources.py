@@ -8,6 +8,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from rclpy.time import Time
 
+from marl_explore.robot import Scan
 from marl_explore.robot.explorer import Place
 from marl_explore.ros2 import convert
 from marl_explore.ros2.listening import Listener
@@ -56,10 +57,13 @@ class TopicPoses:
 
     def place(self) -> Place | None:
         """The place of the latest message; see ``PoseSource``."""
-        if self._latest is None:
+        latest, self._latest = self._latest, None
+        if latest is None:
             return None
-        convert.require_frame(self._latest, self._frame)
-        return convert.to_place(self._latest)
+        convert.require_frame(latest, self._frame)
+        place = convert.to_place(latest)
+        self._latest = latest  # one that cannot be used is told of once
+        return place
 
     def _take(self, message: Any) -> None:
         self._latest = message
@@ -96,8 +100,39 @@ class TransformPoses:
         return "no transform" if self.place() is None else None
 
 
-def listen_to_tf(node: Node, frame: str, base_frame: str) -> TransformPoses:
-    """Poses from ``/tf`` and ``/tf_static``.
+class LidarTransforms:
+    """Scans of a lidar that is where tf has it on the robot.
+
+    Args:
+        buffer: as for ``TransformPoses``.
+        base_frame: of the robot.
+        missing: as for ``TransformPoses``.
+    """
+
+    def __init__(self, buffer: Any, base_frame: str, missing: type[Exception]) -> None:
+        self._buffer, self._base_frame, self._missing = buffer, base_frame, missing
+
+    def scan(self, message: Any) -> Scan:
+        """The scan of a sensor_msgs/LaserScan.
+
+        Raises:
+            ValueError: without a transform from the robot to the scan's frame, or with one of a
+                lidar that is tilted.
+        """
+        frame = message.header.frame_id.lstrip("/")
+        try:
+            found = self._buffer.lookup_transform(self._base_frame, frame, Time())
+        except self._missing:
+            raise ValueError(f"there is no tf from {self._base_frame} to {frame!r}") from None
+        return convert.to_mounted_scan(message, found.transform)
+
+
+def listen_to_tf(node: Node, wanted: str) -> tuple[Any, type[Exception]]:
+    """A buffer that hears ``/tf`` and ``/tf_static``, and what it raises without a transform.
+
+    Args:
+        node: that subscribes.
+        wanted: the parameter that wants it, for the error.
 
     Raises:
         ValueError: when tf2_ros is not installed.
@@ -105,7 +140,7 @@ def listen_to_tf(node: Node, frame: str, base_frame: str) -> TransformPoses:
     try:
         from tf2_ros import Buffer, TransformException, TransformListener
     except ImportError as error:
-        raise ValueError(f"pose_source='tf' is not allowed: {error}") from None
+        raise ValueError(f"{wanted} is not allowed: {error}") from None
     buffer = Buffer()
     buffer.listener = TransformListener(buffer, node)  # it lives as long as the buffer
-    return TransformPoses(buffer, frame, base_frame, TransformException)
+    return buffer, TransformException

@@ -22,12 +22,12 @@ from std_msgs.msg import UInt8MultiArray
 
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
-from marl_explore.robot.geometry import Mount
-from marl_explore.robot.status import Reason, Status
+from marl_explore.robot.status import Reason
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, diagnostics, run, time_of
 from marl_explore.ros2.parameters import RobotParameters
-from marl_explore.ros2.pose_sources import TransformPoses, listen_to_tf
+from marl_explore.ros2.pose_sources import LidarTransforms, listen_to_tf
+from marl_explore.ros2.status_log import StatusLog
 
 
 class RobotNode(ParameterNode[RobotParameters]):
@@ -41,9 +41,14 @@ class RobotNode(ParameterNode[RobotParameters]):
         super().__init__("robot_node", RobotParameters())
         self.core = self.given.make_core()
         self._published = 0
-        self._told = Status(Reason.WAITING, "")
+        self._told = Reason.WAITING
+        self._log = StatusLog()
         self._warned: set[object] = set()
-        self._mounts: TransformPoses | None = None
+        self._dropped = 0
+        self._lidar: LidarTransforms | None = None
+        if self.given.lidar_from_tf:
+            buffer, missing = listen_to_tf(self, "lidar_from_tf=True")
+            self._lidar = LidarTransforms(buffer, self.given.base_frame, missing)
         team, own = self.given.team, self.given.team[self.given.robot]
         for robot, name in enumerate(team):
             take = partial(self._take_pose, robot)
@@ -70,7 +75,8 @@ class RobotNode(ParameterNode[RobotParameters]):
 
     def _take_scan(self, message: Any) -> None:
         with self._dropping("a scan"):
-            self._take_measured(convert.to_scan(message, self._mount(message.header.frame_id)))
+            read = self._lidar.scan if self._lidar else convert.to_scan
+            self._take_measured(read(message))
 
     def _take_pose(self, robot: int, message: Any) -> None:
         with self._dropping(f"a pose of robot {robot}"):
@@ -88,18 +94,8 @@ class RobotNode(ParameterNode[RobotParameters]):
         try:
             yield
         except ValueError as error:
+            self._dropped += 1
             self.get_logger().error(f"dropped {what}: {error}", throttle_duration_sec=every)
-
-    def _mount(self, frame: str) -> Mount | None:
-        """Where tf has the lidar on the robot; None: it is not asked."""
-        if not self.given.lidar_from_tf:
-            return None
-        if self._mounts is None:
-            self._mounts = listen_to_tf(self, self.given.base_frame, frame)
-        place = self._mounts.place()
-        if place is None:
-            raise ValueError(f"there is no {self._mounts.name}")
-        return Mount(*place)
 
     def _take_letter(self, message: Any) -> None:
         with self._dropping("a message", every=0.0):
@@ -116,8 +112,7 @@ class RobotNode(ParameterNode[RobotParameters]):
                 self._inboxes[receiver].publish(letter)
         self._send_map(now)
         self._send_velocity(output.velocity, now)
-        if self.core.status.reason is not self._told.reason:
-            self._tell()
+        self._tell(now)
         self._warn()
 
     def _send_map(self, now: float) -> None:
@@ -129,15 +124,17 @@ class RobotNode(ParameterNode[RobotParameters]):
         )
         self._maps.publish(convert.fill(OccupancyGrid(), fields))
 
-    def _tell(self) -> None:
-        """Publish a status of another kind; log faults, their ends and that the map is complete."""
-        status, before = self.core.status, self._told
-        self._told = status
-        if status.is_fault:
+    def _tell(self, now: float) -> None:
+        """Publish a status of another kind, and log what ``StatusLog`` chooses."""
+        status = self.core.status
+        level = self._log.level(status, now)
+        if level == "warning":
             self.get_logger().warning(status.text)
-        elif before.is_fault or status.reason is Reason.COMPLETE:
+        elif level:
             self.get_logger().info(status.text)
-        self._send_status()
+        if status.reason is not self._told:
+            self._told = status.reason
+            self._send_status()
 
     def _warn(self) -> None:
         """Log maps of others that were refused, and scans held against the map after a jump."""
@@ -148,7 +145,11 @@ class RobotNode(ParameterNode[RobotParameters]):
 
     def _send_status(self) -> None:
         core, name = self.core, self.given.team[self.given.robot]
-        details = {**core.counts, "last map refused": next(reversed(core.knowledge.refusals), "-")}
+        details = {
+            **core.counts,
+            "messages dropped": self._dropped,
+            "last map refused": next(reversed(core.knowledge.refusals), "-"),
+        }
         fields = convert.status_fields(core.status, name, details)
         self._statuses.publish(diagnostics(fields, time_of(self)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotS
 from marl_explore.robot.driving import ZERO, Drive
 from marl_explore.robot.evidence import Evidence, EvidenceModel
 from marl_explore.robot.geometry import Frame, wrapped
+from marl_explore.robot.jumps import JumpLimits
 from marl_explore.robot.knowledge import Knowledge
 from marl_explore.robot.mailbox import Mailbox
 from marl_explore.robot.mapper import BeamModel
@@ -99,9 +101,7 @@ def test_no_map_hides_another_one_of_the_same_robot():
     maps = [np.full((3, 3), UNKNOWN, np.int8) for _ in range(3)]
     for cell, found in enumerate(maps):
         found[0, cell] = FREE
-    evidence = [
-        Evidence.none(3, 3).looked(found, 1, EvidenceModel(), (2, 2)) for found in maps
-    ]
+    evidence = [Evidence.none(3, 3).looked(found, 1, EvidenceModel(), (2, 2)) for found in maps]
     mail.receive(Envelope(1, (0,), Share(1, tick, evidence[0])))  # a wrong tick, far ahead
     assert (mail.take_new()[1].map[0] == [FREE, UNKNOWN, UNKNOWN]).all()
     mail.receive(Envelope(1, (0,), Share(1, 6, evidence[1])))
@@ -177,10 +177,22 @@ def test_a_robot_ahead_is_waited_for_and_one_behind_is_not():
         (RobotSettings, "shut_seconds", -1.0, "at least 0 seconds"),
         (RobotSettings, "mate_patience", -1.0, "at least 0 seconds"),
         (RobotSettings, "mate_reach", math.inf, "at least 0 metres, and finite"),
+        *((Drive, name, 1e300, "at most") for name in (*GAINS, "radius", "clearance", "margin")),
+        *(
+            (BeamModel, name, 1e300, "at most")
+            for name in ("tolerance", "margin", "robot_radius", "lidar_x", "lidar_y", "lidar_yaw")
+        ),
+        *((JumpLimits, name, 1e300, "at most") for name in ("distance", "turn")),
+        (RobotSettings, "mate_reach", 1e300, "at most 1000 metres"),
+        (RobotSettings, "max_pose_age", 1e300, "at most 86400 seconds"),
+        (RobotSettings, "shut_seconds", 1e300, "at most 86400 seconds"),
+        (BeamModel, "lidar_x", -6.0, "at most 5 metres on either side of 0"),
     ],
 )
 def test_settings_that_are_none_are_refused(kind, name, value, allowed):
-    with pytest.raises(ValueError, match=f"{name}={value} is not allowed: .*{allowed}"):
+    with pytest.raises(
+        ValueError, match=f"{name}={re.escape(str(value))} is not allowed: .*{allowed}"
+    ):
         kind(**{name: value})
 
 
@@ -243,6 +255,19 @@ def test_a_barrier_waits_no_longer_when_the_clock_is_set_back():
     assert clock.tick(1000) == 0
     clock.report(0, 0, 1001)
     assert [clock.tick(now) for now in (20, 25, 25.1)] == [0, 0, 1]
+
+
+@pytest.mark.parametrize("robots", [[], [1, 2], [0, 2], [0, 0], [0, -1], [0.0, 1.0], [True, False]])
+def test_the_robots_of_a_barrier_are_numbered_from_0(robots):
+    """One that waits for a robot that there is not would wait for ever."""
+    with pytest.raises(ValueError, match="robots=.* is not allowed"):
+        BarrierClock(robots)
+
+
+def test_a_barrier_is_for_one_size_of_team():
+    BarrierClock({2, 0, 1}).check(3)
+    with pytest.raises(ValueError, match="robots=2 is not allowed: the clock is for a team of 3"):
+        BarrierClock(range(2)).check(3)
 
 
 def test_who_comes_late_joins_the_others():

@@ -12,7 +12,8 @@ from marl_explore import ArenaConfig
 from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotCore, RobotSettings
 from marl_explore.robot.driving import ZERO
 from marl_explore.robot.evidence import Evidence
-from marl_explore.robot.geometry import Mount
+from marl_explore.robot.geometry import Frame, Mount
+from marl_explore.robot.mapper import sight
 from marl_explore.robot.messages import MOST_AHEAD, Done, Intent, Share
 from marl_explore.robot.planners import Nearest
 from tests.helpers.boards import ACTIONS, arena
@@ -145,12 +146,105 @@ def test_a_scan_that_is_not_finite_is_refused_and_changes_nothing(name):
         ({"range_min": 3.5}, "range_max=3.5 is not allowed: .* more than range_min=3.5"),
         ({"range_max": 0.1}, "range_max=0.1 is not allowed: .* more than range_min=0.12"),
         ({"mount": Mount(yaw=math.nan)}, "mount=.*nan.* is not allowed: .* finite"),
+        ({"mount": Mount(1e7, 0.0)}, "mount=.* x=10000000.0 is not allowed: .* at most 5 metres"),
+        ({"mount": Mount(0.0, 1e300)}, "mount=.* y=.* is not allowed: .* at most 5 metres"),
+        ({"mount": (1, 2)}, r"mount=\(1, 2\) is not allowed: it must be a Mount"),
+        ({"mount": 1.0}, "mount=1.0 is not allowed: it must be a Mount"),
+        ({"ranges": np.ones((2, 3))}, r"ranges=float64 of shape \(2, 3\) is not allowed: .* \[R\]"),
+        ({"ranges": np.float64(3)}, r"ranges=float64 of shape \(\) is not allowed"),
+        ({"ranges": np.full(360, 1 + 2j)}, "ranges=complex128 of shape .* is not allowed"),
+        ({"ranges": np.ones(360, bool)}, "ranges=bool of shape .* is not allowed"),
+        ({"ranges": np.full(360, "a")}, "ranges=.* of shape .* is not allowed"),
+        ({"ranges": None}, "ranges=object of shape .* is not allowed"),
+        ({"angle_increment": 0.0}, "angle_increment=0.0 is not allowed: beams need an angle"),
+        ({"angle_increment": 1e300}, r"angle_increment=1e\+300 is not allowed: .* at most 6.28"),
+        ({"angle_increment": -7.0}, "angle_increment=-7.0 is not allowed: .* at most 6.28"),
+        ({"angle_min": 1e308}, r"angle_min=1e\+308 is not allowed: .* at most 12.566"),
+        ({"range_min": -0.1}, "range_min=-0.1 is not allowed: it must be at least 0 metres"),
+        ({"range_min": -5.0, "range_max": -1.0}, "range_min=-5.0 is not allowed"),
+        ({"range_max": None}, "range_max=None is not allowed"),
+        ({"stamp": "1"}, "stamp='1' is not allowed"),
     ],
 )
 def test_a_scan_that_cannot_be_is_refused(changes, message):
     core, _ = driving_robot()
     with pytest.raises(ValueError, match=message):
-        core.receive(replace(core.sensors.scan, stamp=1.1, **changes), 1.1)
+        core.receive(replace(core.sensors.scan, **{"stamp": 1.1} | changes), 1.1)
+
+
+def test_a_scan_at_its_bounds_is_taken():
+    core, pose = driving_robot()
+    scan = core.sensors.scan
+    for number, changes in enumerate(
+        (
+            {"angle_increment": -scan.angle_increment, "angle_min": 4 * math.pi},
+            {"angle_increment": 2 * math.pi, "angle_min": -4 * math.pi, "range_min": 0.0},
+            {"mount": Mount(-5.0, 5.0, math.pi), "ranges": scan.ranges.astype(np.float32)},
+        )
+    ):
+        now = 1.1 + number / 10
+        core.receive(replace(scan, stamp=now, **changes), now)
+        core.receive(replace(pose, stamp=now), now)
+        assert core.sensors.scan.stamp == now
+        core.advance(now)
+
+
+def test_a_scan_may_turn_clockwise():
+    obstacles = np.zeros((3, 3), bool)
+    obstacles[0, 1] = True
+    frame = Frame(3, 3, 0.5)
+    scan = scan_of(obstacles, frame, Pose(1.0, 0, 0.0, 0.0, 0.3))
+    clockwise = replace(scan, ranges=scan.ranges[::-1], angle_increment=-scan.angle_increment)
+    clockwise = replace(clockwise, angle_min=-scan.angle_increment)
+    for read in (scan, clockwise):
+        read.check()
+        seen = sight(read, Pose(1.0, 0, 0.0, 0.0, 0.3), [], frame, 1)
+        assert np.array_equal(seen == 1, obstacles)
+
+
+@pytest.mark.parametrize("robot", [1.5, True, None, "1", math.nan])
+def test_the_number_of_a_robot_is_an_integer(robot):
+    """1.5 used to be taken, and the next ``advance`` failed."""
+    core, pose = driving_robot()
+    with pytest.raises(ValueError, match=f"a pose of robot {robot} is not allowed: 0 to 0"):
+        core.receive(replace(pose, stamp=1.1, robot=robot), 1.1)
+    assert core.advance(1.1).velocity != ZERO
+
+
+@pytest.mark.parametrize("name", ["stamp", "x", "y", "yaw"])
+@pytest.mark.parametrize("value", [None, "a", True, 1j, np.zeros(1)])
+def test_a_pose_of_other_types_is_refused(name, value):
+    core, pose = driving_robot()
+    with pytest.raises(ValueError, match=f"{name}=.* is not allowed: it must be a finite number"):
+        core.receive(replace(pose, **{"stamp": 1.1, name: value}), 1.1)
+    assert core.advance(1.1).velocity != ZERO
+
+
+@pytest.mark.parametrize("yaw", [1e300, -1e7])
+def test_a_heading_beyond_all_turns_is_refused(yaw):
+    core, pose = driving_robot()
+    with pytest.raises(ValueError, match=r"yaw=.* is not allowed: it must be at most 10000 rad"):
+        core.receive(replace(pose, stamp=1.1, yaw=yaw), 1.1)
+    core.receive(replace(pose, stamp=1.1, yaw=20 * math.pi), 1.1)  # it counts its turns
+    assert core.advance(1.1).velocity.forward > 0
+
+
+@pytest.mark.parametrize("now", [math.nan, math.inf, -math.inf, 1e300, None, "1"])
+def test_times_that_are_none_are_refused(now):
+    core, pose = driving_robot()
+    for use in (core.advance, lambda now: core.receive(pose, now), BarrierClock([0]).tick):
+        with pytest.raises(ValueError, match="now=.* is not allowed: .* seconds"):
+            use(now)
+    with pytest.raises(ValueError, match="now=.* is not allowed: .* seconds"):
+        PeriodClock(1.0).tick(now)
+    assert core.advance(1.1).velocity != ZERO
+
+
+@pytest.mark.parametrize("event", [None, "x", Done(1, 2)])
+def test_other_events_are_refused(event):
+    core, _ = driving_robot()
+    with pytest.raises(ValueError, match="event=.* must be a Scan, a Pose or an Envelope"):
+        core.receive(event, 1.1)
 
 
 @pytest.mark.parametrize("off", [0.0, math.nan])
@@ -453,11 +547,25 @@ def test_a_move_that_is_not_allowed_is_not_made():
     [
         (ArenaConfig(communication_range=1.4), 0, r"communication_range=1.4 .*1\.414 m"),
         (ArenaConfig(), 4, "robot=4 is not allowed: 0 to 3"),
+        (ArenaConfig(), -1, "robot=-1 is not allowed: 0 to 3"),
+        (ArenaConfig(), 1.0, "robot=1.0 is not allowed: 0 to 3"),
+        (ArenaConfig(num_agents=5), 0, "robots=4 is not allowed: the clock is for a team of 5"),
+        (ArenaConfig(num_agents=3), 0, "robots=4 is not allowed: the clock is for a team of 3"),
     ],
 )
 def test_settings_that_cannot_work_are_refused(config, robot, message):
     with pytest.raises(ValueError, match=message):
         RobotCore(robot, config, scripted([]), BarrierClock(range(4)))
+
+
+WHOLE = Evidence.none(4, 6)
+
+
+def evidence(looks, rank=5):
+    """Of a map of ``OPEN`` in which one cell has these numbers."""
+    known = Evidence(WHOLE.looks.copy(), WHOLE.rank.copy())
+    known.looks[0, 0], known.rank[0, 0] = looks, rank
+    return known
 
 
 @pytest.mark.parametrize(
@@ -479,6 +587,35 @@ def test_settings_that_cannot_work_are_refused(config, robot, message):
         (Envelope(0, (0,), Done(0, 0)), "a message of robot 0 to itself is not allowed"),
         (Envelope(1, (0,), Intent(1, 0, (4, 4), 0)), r"cell=\(4, 4\) is not allowed: .*\(4, 6\)"),
         (Envelope(1, (0,), Intent(1, 9, (1, 1), 0)), r"cell=\(1, 1\) of robot 1 .* cell \(1, 4\)"),
+        (Envelope(1, (0,), Intent(1, 0, (1, 4), 1.5)), "action=1.5 is not allowed: 0 to 9"),
+        (Envelope(1, (0,), Intent(1, 0, (1, 4), True)), "action=True is not allowed: 0 to 9"),
+        (Envelope(1, (0,), Intent(1, 0, (1,), 1)), r"cell=\(1,\) is not allowed: \(row, column\)"),
+        (Envelope(1, (0,), Intent(1, 0, (1.0, 4), 1)), r"cell=\(1.0, 4\) is not allowed"),
+        (Envelope(1, (0,), Intent(1, 0, None, 1)), "cell=None is not allowed"),
+        (Envelope(1, (0,), Intent(1, 0, (1, 4), 1, 2)), "upright=2 is not allowed"),
+        (Envelope(1, (0,), Done(1, 1.5)), "tick=1.5 is not allowed: 0 to"),
+        (Envelope(1, (0,), Done(1, True)), "tick=True is not allowed: 0 to"),
+        (Envelope(1, (0,), Done(1, None)), "tick=None is not allowed: 0 to"),
+        (Envelope(1.0, (0,), Done(1.0, 1)), "a message of robot 1.0 is not allowed"),
+        (Envelope(1, None, Done(1, 1)), "a message to robots None is not allowed"),
+        (Envelope(1, (0,), None), "message=None is not allowed: an Intent, a Share or a Done"),
+        (Envelope(1, (0,), Share(1, 0, None)), "evidence=None is not allowed"),
+        (Envelope(1, (0,), Share(1, 0, evidence(looks=100))), "evidence of more than 7 looks"),
+        (Envelope(1, (0,), Share(1, 0, evidence(looks=1, rank=-2))), "before the first tick"),
+        (Envelope(1, (0,), Share(1, 0, evidence(looks=1, rank=2**63 - 1))), "a rank that there"),
+        (Envelope(1, (0,), Share(1, 0, evidence(looks=0, rank=5))), "a rank that there cannot be"),
+        (
+            Envelope(1, (0,), Share(1, 0, Evidence(WHOLE.looks, WHOLE.rank[:2]))),
+            r"evidence of \(4, 6\) looks and \(2, 6\) ranks",
+        ),
+        (
+            Envelope(1, (0,), Share(1, 0, Evidence(WHOLE.looks.astype(float), WHOLE.rank))),
+            r"looks of evidence are not allowed: not int8 \[H, W\]",
+        ),
+        (
+            Envelope(1, (0,), Share(1, 0, Evidence(WHOLE.looks, WHOLE.rank.tolist()))),
+            "rank of evidence are not allowed: not int64",
+        ),
     ],
 )
 def test_messages_of_another_team_are_refused_and_change_nothing(letter, message):
@@ -496,12 +633,21 @@ def test_times_must_be_positive(name):
         RobotSettings(**{name: 0})
 
 
-def test_an_action_that_is_none_is_refused():
+@pytest.mark.parametrize("answer", [10, -1, 1.7, math.nan, None, "a", True, np.zeros(10)])
+def test_an_action_that_is_none_is_refused(answer):
     world = world_of(OPEN, ["stay", "stay"])
-    world.cores[1].policy = lambda observation: 10
-    with pytest.raises(ValueError, match="action 10 is not one of 0 to 9"):
+    world.cores[1].policy = lambda observation: answer
+    with pytest.raises(ValueError, match="the policy's action .* is not one of 0 to 9"):
         world.run(1)
     assert math.isfinite(world.now)
+
+
+@pytest.mark.parametrize("answer", [np.int64(4), np.array(4), np.uint8(4)])
+def test_an_action_may_be_an_integer_of_numpy(answer):
+    world = world_of(OPEN, ["stay", "stay"])
+    world.cores[1].policy = lambda observation: answer
+    world.run(1)
+    assert world.cores[1].action == 4
 
 
 # ---------------------------------------------------------------- ticks far ahead

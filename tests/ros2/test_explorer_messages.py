@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from marl_explore.robot import Scan
 from marl_explore.robot.explorer import Output, Place, Status
 from marl_explore.ros2 import convert, displays
 from marl_explore.ros2.explorer_parameters import ExplorerParameters
@@ -70,6 +71,8 @@ def test_a_status_is_a_diagnostic_with_all_counts():
     assert values["known area (m2)"] == "12.3"
     assert values["goals given up"] == "2"
     assert values["teammate b"] == "map refused: 9 of 10"
+    assert values["messages dropped"] == "0"
+    assert ("messages dropped", "3") in displays.status_fields(STATUS, "", 3)["values"]
     assert displays.status_fields(Status("complete", "done"), "")["level"] == b"\x00"
     assert displays.status_fields(Status("complete", "done"), "")["name"] == "explorer"
 
@@ -112,8 +115,141 @@ def test_teammates_frames_are_relative_to_the_own_one():
         ({"team": ["a"], "frames": [0.0]}, "frames=.* is not allowed: x, y, yaw for each"),
         ({"rate": 0.5}, "rate=0.5 is not allowed"),
         ({"pose_source": "gps"}, "pose_source='gps' is not allowed"),
+        ({"team": ["a", "/b"]}, "team=.* is not allowed: '/b' is no namespace"),
+        ({"team": ["a", "b/"]}, "team=.* is not allowed: 'b/' is no namespace"),
+        ({"team": ["a", ""]}, "team=.* is not allowed: '' is no namespace"),
+        ({"team": ["a", "b c"]}, "team=.* is not allowed: 'b c' is no namespace"),
+        ({"team": ["a", "2b"]}, "team=.* is not allowed: '2b' is no namespace"),
+        ({"team": ["a", 1]}, "team=.* is not allowed: 1 is no namespace"),
+        ({"team": ["a", "b" * 101]}, "team=.* is not allowed: 'bbb"),
+        ({"map_topic": "a b"}, "map_topic='a b' is not allowed: it must be a topic"),
+        ({"map_topic": ""}, "map_topic='' is not allowed: it must be a topic"),
+        ({"pose_topic": "pose/"}, "pose_topic='pose/' is not allowed: it must be a topic"),
+        ({"goal_topic": "//goal"}, "goal_topic='//goal' is not allowed: it must be a topic"),
+        ({"goal_topic": "map"}, "goal_topic='map' is not allowed: it is the map's"),
+        ({"pose_topic": "map"}, "pose_topic='map' is not allowed: it is the map's or that of goal"),
+        ({"mate_pose_topic": "goal_pose"}, "mate_pose_topic='goal_pose' is not allowed"),
+        (
+            {"team": ["a", "b"], "map_topic": "/map"},
+            "map_topic='/map' is not allowed: in a team it must be relative, .*: -r map:=/map",
+        ),
+        ({"team": ["a", "b"], "goal_topic": "~/goal"}, "goal_topic='~/goal' .* relative"),
+        ({"team": ["a", "b"], "mate_pose_topic": "/pose"}, "mate_pose_topic='/pose' .* relative"),
+        ({"frame": ""}, "frame='' is not allowed: it must be the name of a frame"),
+        ({"frame": "/"}, "frame='/' is not allowed"),
+        ({"base_frame": " "}, "base_frame=' ' is not allowed"),
+        ({"rate": 1e9}, "rate=1000000000.0 is not allowed: it must be at most 1000 1/s"),
+        ({"rate": math.nan}, "rate=nan is not allowed"),
+        ({"team": ["a"], "frames": [0.0, math.nan, 0.0]}, "frames=nan is not allowed"),
+        ({"team": ["a", "b"], "map_frames": ["map"]}, "map_frames=.* a name for each of the team"),
+        ({"team": ["a"], "map_frames": [""]}, "map_frames='' is not allowed"),
     ],
 )
 def test_parameters_that_cannot_work_are_refused(given, allowed):
     with pytest.raises(ValueError, match=allowed):
         ExplorerParameters(**given)
+
+
+def test_topics_of_one_robot_may_be_absolute():
+    given = ExplorerParameters(map_topic="/map", pose_topic="/pose", goal_topic="~/goal")
+    assert given.map_topic == "/map"
+    in_team = ExplorerParameters(team=["fleet/a", "fleet/b"], pose_topic="/pose")
+    assert in_team.mates("fleet/a").keys() == {"fleet/b"}
+    assert ExplorerParameters(mate_pose_topic="pose").mate_pose_topic == "pose"
+
+
+def test_frames_lose_the_slash_that_tf_has_no_more():
+    given = ExplorerParameters(frame="/map", base_frame="/base_link", map_frames=[])
+    assert (given.frame, given.base_frame) == ("map", "base_link")
+    message_ = message({"header": {"frame_id": "/map"}})
+    convert.require_frame(message_, given.frame)
+    convert.require_frame(message_, "/map")
+    with pytest.raises(ValueError, match="frame_id='map' is not allowed: it must be 'odom'"):
+        convert.require_frame(message_, "odom")
+
+
+def test_map_frames_of_a_team_are_those_of_the_own_one_or_named():
+    given = ExplorerParameters(team=["a", "b"])
+    assert [given.frame_of(robot) for robot in (None, "a", "b")] == ["map"] * 3
+    named = ExplorerParameters(team=["a", "b"], frame="a/map", map_frames=["a/map", "/b/map"])
+    assert [named.frame_of(robot) for robot in (None, "a", "b")] == ["a/map", "a/map", "b/map"]
+    assert named.make_core("a").team.mates.keys() == {"b"}
+    with pytest.raises(ValueError, match="map_frames=.* that of 'b' must be frame='a/map'"):
+        named.make_core("b")
+
+
+# ---------------------------------------------------------------- tilted maps and lidars
+
+
+def turned_by(yaw=0.0, pitch=0.0, roll=0.0):
+    """A quaternion of yaw, then pitch, then roll."""
+    (cy, sy), (cp, sp), (cr, sr) = (
+        (math.cos(angle / 2), math.sin(angle / 2)) for angle in (yaw, pitch, roll)
+    )
+    return {
+        "w": cr * cp * cy + sr * sp * sy,
+        "x": sr * cp * cy - cr * sp * sy,
+        "y": cr * sp * cy + sr * cp * sy,
+        "z": cr * cp * sy - sr * sp * cy,
+    }
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+@pytest.mark.parametrize("length", [0.5, 1.0])
+def test_the_tilt_of_a_quaternion_is_the_angle_to_up(yaw, length):
+    for pitch, roll in ((0.0, 0.0), (0.3, 0.0), (0.0, -0.4), (0.0, math.pi), (math.pi, 0.0)):
+        turned = {name: length * n for name, n in turned_by(yaw, pitch, roll).items()}
+        expected = max(abs(pitch), abs(roll))
+        assert convert.tilt_of(message(turned)) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("turned", "degrees"),
+    [(turned_by(roll=math.pi), 180), (turned_by(0.5, pitch=0.3), 17), (turned_by(0, 0, -0.2), 11)],
+)
+def test_maps_that_are_not_level_are_refused(turned, degrees):
+    """They used to be read as if they were."""
+    given = occupancy_grid([0] * 6, 2, 3)
+    given.info.origin.orientation = message(turned)
+    with pytest.raises(ValueError, match=f"tilted by {degrees} degrees is not allowed"):
+        convert.to_occupancy_map(given)
+    given.info.origin.orientation = message(turned_by(0.5, 0.02, -0.02))
+    assert convert.to_occupancy_map(given).origin.yaw == pytest.approx(0.5, abs=1e-3)
+
+
+def test_data_that_are_not_int8_are_refused():
+    given = occupancy_grid([0] * 6, 2, 3)
+    given.data = [0, 0, 0, 0, 0, 200]
+    with pytest.raises(ValueError, match="data beyond -128 to 127 are not allowed"):
+        convert.to_occupancy_map(given)
+    given.data = [0, 0, 0, 0, 0, 101]
+    with pytest.raises(ValueError, match="percent=101 is not allowed"):
+        convert.to_occupancy_map(given).check()
+
+
+SCAN = Scan(4.5, np.array([1.0, 2.0, 3.0, 4.0]), -0.5, 0.25, 0.1, 5.0)
+
+
+def mounted(**angles):
+    transform = {"translation": {"x": 0.1, "y": -0.2, "z": 0.3}, "rotation": turned_by(**angles)}
+    fields = message(convert.scan_fields(SCAN, "laser"))
+    return convert.to_mounted_scan(fields, message(transform))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
+@pytest.mark.parametrize("roll", [0.0, math.pi])
+def test_a_scan_points_where_its_lidar_does_also_upside_down(yaw, roll):
+    scan = mounted(yaw=yaw, roll=roll)
+    scan.check()
+    assert scan.mount == pytest.approx((0.1, -0.2, yaw))
+    angles = SCAN.angle_min + SCAN.angle_increment * np.arange(4)
+    in_lidar = np.stack((np.cos(angles), np.sin(angles) * math.cos(roll)))  # turned about x
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    read = scan.mount.yaw + scan.angle_min + scan.angle_increment * np.arange(4)
+    assert np.stack((np.cos(read), np.sin(read))) == pytest.approx(turn @ in_lidar, abs=1e-6)
+
+
+@pytest.mark.parametrize("angles", [{"pitch": 0.3}, {"roll": 1.57}, {"roll": math.pi - 0.2}])
+def test_a_lidar_that_is_tilted_is_refused(angles):
+    with pytest.raises(ValueError, match="a lidar that is tilted by [0-9]+ degrees is not allowed"):
+        mounted(yaw=0.4, **angles)

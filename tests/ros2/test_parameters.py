@@ -95,9 +95,33 @@ def test_a_robot_is_made_of_its_parameters(tmp_path):
         ({"team": ["a"]}, r"team=\['a'\] is not allowed: the policy is for 2 robots"),
         ({"team": ["a", "b"], "robot": 2}, "robot=2 is not allowed"),
         ({"team": ["a", "b"], "rate": 0.0}, "rate=0.0 is not allowed"),
+        ({"team": ["a", "b"], "rate": 1e9}, "rate=1000000000.0 is not allowed: .* at most 1000"),
+        ({"team": ["a", "b"], "robot": -1}, "robot=-1 is not allowed: it must be an integer of"),
+        ({"team": ["a", "b"], "seed": -1}, "seed=-1 is not allowed: it must be an integer of"),
+        ({"team": []}, r"team=\[\] is not allowed: namespaces of 1 to 16 robots"),
+        ({"team": [f"r{n}" for n in range(17)]}, "team=.* is not allowed: namespaces of 1 to 16"),
+        ({"team": ["a", "a"]}, "team=.* is not allowed: a robot is in it twice"),
+        ({"team": ["/a", "/b"]}, "team=.* is not allowed: '/a' is no namespace"),
+        ({"team": ["a b", "c"]}, "team=.* is not allowed: 'a b' is no namespace"),
+        ({"team": ["a", ""]}, "team=.* is not allowed: '' is no namespace"),
+        ({"team": ["a", "b"], "frame": ""}, "frame='' is not allowed"),
+        ({"team": ["a", "b"], "base_frame": "/"}, "base_frame='/' is not allowed"),
+        ({"team": ["a", "b"], "period": -1.0}, "period=-1.0 is not allowed"),
+        ({"team": ["a", "b"], "period": 8.0, "start": 1e300}, r"start=1e\+300 is not allowed"),
     ],
 )
 def test_parameters_that_cannot_work_are_refused(tmp_path, given, message):
     given = {"policy": str(policy_file(tmp_path, robots=2))} | given
     with pytest.raises(ValueError, match=message):
         robot_of(given).make_core()
+
+
+def test_frames_lose_the_slash_that_tf_has_no_more():
+    robot = robot_of({"frame": "/arena", "base_frame": "/robot_0/base_link"})
+    assert (robot.frame, robot.base_frame) == ("arena", "robot_0/base_link")
+
+
+def test_a_planner_runs_in_a_team_of_sixteen():
+    team = [f"robot_{number}" for number in range(16)]
+    core = robot_of({"policy": "goal-utility", "team": team, "robot": 15}).make_core()
+    assert (core.robot, core.config.num_agents) == (15, 16)

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from marl_explore.config.checks import require
+from marl_explore.config.checks import require, require_time
 from marl_explore.config.constants import UNKNOWN
 from marl_explore.robot.explorer.grids import OccupancyMap
 from marl_explore.robot.explorer.mission import Mission
-from marl_explore.robot.explorer.places import LivedTime, Place, Point, Trail
+from marl_explore.robot.explorer.places import LivedTime, Place, Point, Trail, require_place
 from marl_explore.robot.explorer.settings import ExplorerSettings
 from marl_explore.robot.explorer.status import State, Status
 from marl_explore.robot.explorer.team import Mate, Team
@@ -67,7 +67,7 @@ class ExplorerCore:
         """None until it has a map and a place."""
         self.team = Team(name, self._trail(), {})
         for mate, frame in mates.items():
-            frame.check()
+            require_place("frame", frame)
             self.team.mates[mate] = Mate(mate, frame, self._trail())
         self._clock, self._time, self._maps = LivedTime(), 0.0, 0
         self._news, self._is_placed, self._counting = True, False, frozenset[str]()
@@ -80,23 +80,26 @@ class ExplorerCore:
         """Take the own map, or a teammate's in its own frame, instead of the one before.
 
         Raises:
-            ValueError: for a map without cells, numbers that are not finite, or an unknown mate.
+            ValueError: for a map without cells or with too many, numbers that are none, or an
+                unknown mate.
         """
         given.check()
         if mate is None:
+            given.check_size(self.settings.radius)
             self.map, self._maps = given, self._maps + 1
         else:
-            other = self._hear(mate)
-            other.map = given.moved(other.frame)
+            moved = given.moved(self._mate(mate).frame)
+            moved.check_size(self.settings.radius)
+            self._hear(mate).map = moved
         self._news = True
 
     def take_place(self, place: Place, mate: str | None = None) -> None:
         """Take the own place in the own map's frame, or a teammate's in that of its map.
 
         Raises:
-            ValueError: for numbers that are not finite, or an unknown mate.
+            ValueError: for numbers that are none, or an unknown mate.
         """
-        place.check()
+        require_place("place", place)
         if mate is None:
             self.place = place
             self.team.trail.add(place, self._time)
@@ -109,20 +112,28 @@ class ExplorerCore:
         """Take the goal that a teammate has chosen, in the frame of its map.
 
         Raises:
-            ValueError: for numbers that are not finite, or an unknown mate.
+            ValueError: for numbers that are none, or an unknown mate.
         """
-        goal.check()
+        require_place("goal", goal)
         other = self._hear(mate)
         other.goal, self._news = other.frame.then(goal), True
 
-    def _hear(self, name: str) -> Mate:
+    def _mate(self, name: str) -> Mate:
         require(name in self.team.mates, "mate", name, f"there are {sorted(self.team.mates)}")
-        mate = self.team.mates[name]
+        return self.team.mates[name]
+
+    def _hear(self, name: str) -> Mate:
+        mate = self._mate(name)
         mate.heard = self._time
         return mate
 
     def advance(self, now: float) -> Output:
-        """Decide; ``now`` is the node's clock (seconds), which may be set and may jump."""
+        """Decide; ``now`` is the node's clock (seconds), which may be set and may jump.
+
+        Raises:
+            ValueError: for a time that is none.
+        """
+        require_time("now", now)
         time = self._time = self._clock.pass_to(now)
         if self.map is None:
             return self._wait("waiting for a map")

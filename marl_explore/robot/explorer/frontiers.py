@@ -87,12 +87,16 @@ def candidates(
     gains = _shares(grid.codes == UNKNOWN, round(view / grid.side))
     chosen = []
     for cluster in found:
-        kept: list[GridCell] = []
-        for length, cell, faces in sorted(_stands(lengths, cluster)):
-            if all(_apart(cell, other) * grid.side >= spread for other in kept):
-                kept.append(cell)
-                way, gain = length * grid.side / 2, float(gains[cell])
-                chosen.append(Candidate(cell, faces, way, gain))
+        stands = sorted(_stands(lengths, cluster))
+        cells = np.array([cell for _, cell, _ in stands])
+        left = np.ones(len(stands), bool)
+        while left.any():
+            first = int(left.argmax())
+            length, cell, faces = stands[first]
+            left[first] = False
+            left &= np.hypot(*(cells - cell).T) * grid.side >= spread
+            way, gain = length * grid.side / 2, float(gains[cell])
+            chosen.append(Candidate(cell, faces, way, gain))
     return chosen
 
 
@@ -106,10 +110,6 @@ def _stands(lengths: Lengths, cluster: Cluster) -> list[tuple[int, GridCell, Gri
         reached = [(int(lengths[c]), c, (row, column)) for c in inside if lengths[c] != NO_WAY]
         stands.append(min(reached))
     return stands
-
-
-def _apart(one: GridCell, other: GridCell) -> float:
-    return float(np.hypot(one[0] - other[0], one[1] - other[1]))
 
 
 def _shares(cells: Mask, reach: int) -> NDArray[np.floating]:

@@ -19,7 +19,7 @@ of at most two thirds of that; larger ones are split.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from marl_explore.config.checks import require, require_positive
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
-from marl_explore.robot.explorer.places import Place, Point
+from marl_explore.robot.explorer.places import Place, Point, require_place
 from marl_explore.robot.geometry import GridCell
 
 Mask = NDArray[np.bool_]
@@ -38,7 +38,16 @@ SIDE = 0.5
 FINEST = 0.001
 """Smallest cells of maps (metres)."""
 MOST_AREA = 100_000.0
-"""Largest map, unknown cells included (square metres): the coarse grid has memory for all of it."""
+"""Largest map, unknown cells included (square metres)."""
+FINE_CELLS_IN_SIDE = 1.5
+"""Fine cells in a side of a coarse one, at least: then some middle lies in every coarse cell."""
+MOST_CELLS = 8_000_000
+"""Most fine cells once they are split, and most cells of the coarse grid around the map: a look at
+them takes seconds."""
+MOST_TOGETHER = 2 * MOST_CELLS
+"""Most cells of the coarse grid around the maps of a team."""
+MOST_REACH = 200
+"""Most fine cells in a robot's radius: each costs time in every other one."""
 OCCUPIED_FROM = 50
 """Percent from which a cell is occupied; below it is free, and negative is unknown."""
 
@@ -55,11 +64,13 @@ class OccupancyMap:
     """Outer corner of the first cell; its yaw turns the whole map."""
 
     def check(self) -> None:
-        """Raise an error for a map without cells or too large, and numbers that are not finite.
+        """Raise an error for a map without cells or too large, and numbers that are none.
 
         Raises:
             ValueError: naming the field and its value.
         """
+        kind = getattr(self.percent, "dtype", type(self.percent))
+        require(kind == np.int8, "percent", kind, "it must be an array of int8")
         shape = self.percent.shape
         require(len(shape) == 2 and min(shape) > 0, "shape", shape, "a map needs cells")
         require_positive("resolution", self.resolution, "metres")
@@ -67,16 +78,48 @@ class OccupancyMap:
         require(self.resolution >= FINEST, "resolution", self.resolution, finest)
         area = self.percent.size * self.resolution**2
         require(area <= MOST_AREA, "area", area, f"it must be at most {MOST_AREA:g} m2")
-        self.origin.check()
+        low, high = int(self.percent.min()), int(self.percent.max())
+        allowed = "it must be -1, or from 0 to 100"
+        require(low >= -1, "percent", low, allowed)
+        require(high <= 100, "percent", high, allowed)
+        require_place("origin", self.origin)
+
+    def check_size(self, radius: float) -> None:
+        """Raise an error for a map that has too many cells for a robot of some radius (metres).
+
+        Raises:
+            ValueError: naming the resolution, the radius and what is allowed.
+        """
+        what = f"for robots of radius={radius:g} m"
+        finest = f"{what} it must be at least {radius / MOST_REACH:g} m"
+        require(radius <= MOST_REACH * self.resolution, "resolution", self.resolution, finest)
+        (height, width), coarse = self.percent.shape, self.coarse_cells(radius)
+        fine = height * width * self._parts(radius) ** 2
+        allowed = (
+            f"{what} the {height} x {width} cells of this map become {fine} fine and {coarse:.0f} "
+            f"coarse ones, and at most {MOST_CELLS} are allowed"
+        )
+        require(max(fine, coarse) <= MOST_CELLS, "resolution", self.resolution, allowed)
+
+    def coarse_cells(self, radius: float) -> float:
+        """About how many coarse cells are around it for a robot of some radius (metres)."""
+        height, width = (cells * self.resolution / (SIDE * radius) for cells in self.percent.shape)
+        cos, sin = abs(math.cos(self.origin.yaw)), abs(math.sin(self.origin.yaw))
+        return (cos * width + sin * height + 1) * (sin * width + cos * height + 1)
+
+    def _parts(self, radius: float) -> int:
+        """Into how many parts a side of a cell is split for a robot of some radius (metres)."""
+        largest = SIDE * radius / FINE_CELLS_IN_SIDE
+        return max(math.ceil(self.resolution / largest - 1e-9), 1)
 
     def moved(self, frame: Place) -> OccupancyMap:
         """The map in the frame in which its own frame is given."""
         return replace(self, origin=frame.then(self.origin))
 
-    def refined(self, largest: float) -> OccupancyMap:
-        """The same map with cells split until they are at most ``largest`` metres wide."""
-        parts = math.ceil(self.resolution / largest - 1e-9)
-        if parts <= 1:
+    def refined(self, radius: float) -> OccupancyMap:
+        """The same map, its cells split until they suit a robot of some radius (metres)."""
+        parts = self._parts(radius)
+        if parts == 1:
             return self
         split = self.percent.repeat(parts, 0).repeat(parts, 1)
         return replace(self, percent=split, resolution=self.resolution / parts)
@@ -157,7 +200,7 @@ class CoarseMap:
         body_radius: float = 0,
     ) -> None:
         side = SIDE * radius
-        self.fine = fine = given.refined(side / 1.5)  # some middle lies in every coarse cell
+        self.fine = fine = given.refined(radius)
         occupied = fine.percent >= OCCUPIED_FROM
         for body in bodies:
             window, distance = fine.around(body, body_radius)
@@ -210,7 +253,7 @@ def nearer(cells: Mask, reach: float) -> Mask:
     np.cumsum(cells, 1, out=counts[:, most + 1 : most + 1 + width])
     counts[:, most + 1 + width :] = counts[:, most + width, None]
     near = np.zeros_like(cells)
-    for up in range(most + 1):
+    for up in range(min(most + 1, height)):  # a map may be lower than the reach
         half = math.ceil(math.sqrt(reach * reach - up * up)) - 1
         right, left = most + half + 1, most - half
         wide = counts[:, right : right + width] != counts[:, left : left + width]
@@ -219,15 +262,21 @@ def nearer(cells: Mask, reach: float) -> Mask:
     return near
 
 
-def union(grids: Iterable[CoarseGrid]) -> CoarseGrid:
-    """All grids in one, with a border of unknown cells; where they contradict, the first counts."""
-    grids = list(grids)
+def span(grids: Sequence[CoarseGrid]) -> tuple[GridCell, tuple[int, int]]:
+    """First cell and shape of the part of the lattice with all grids, and a border of a cell."""
     top, left = (min(grid.first[axis] for grid in grids) - 1 for axis in (0, 1))
     height, width = (
         max(grid.first[axis] + grid.codes.shape[axis] for grid in grids) + 1 - start
         for axis, start in ((0, top), (1, left))
     )
-    codes = np.full((height, width), UNKNOWN, np.int8)
+    return (top, left), (height, width)
+
+
+def union(grids: Iterable[CoarseGrid]) -> CoarseGrid:
+    """All grids in one, with a border of unknown cells; where they contradict, the first counts."""
+    grids = list(grids)
+    (top, left), shape = span(grids)
+    codes = np.full(shape, UNKNOWN, np.int8)
     for grid in grids:
         part = codes[_window(grid, top, left)]
         np.copyto(part, grid.codes, where=part == UNKNOWN)

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from marl_explore.config.checks import require
+from marl_explore.config.checks import require, require_finite
 from marl_explore.robot.geometry import wrapped
 
 Point = tuple[float, float]
@@ -26,15 +26,13 @@ class Place(NamedTuple):
     """Counter-clockwise from the x axis (radians)."""
 
     def check(self) -> None:
-        """Raise an error for numbers that are not finite, and for places very far away.
+        """Raise an error for numbers that are none or not finite, and for places very far away.
 
         Raises:
             ValueError: naming the field and its value.
         """
         for name, value in self._asdict().items():
-            require(math.isfinite(value), name, value, "it must be a finite number")
-            allowed = f"it must be at most {FARTHEST:g} on either side of 0"
-            require(abs(value) <= FARTHEST, name, value, allowed)
+            require_finite(name, value, most=FARTHEST)
 
     def distance(self, point: Point | Place) -> float:
         """Distance to a point (metres)."""
@@ -55,6 +53,12 @@ class Place(NamedTuple):
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         x, y = point[0] - self.x, point[1] - self.y
         return cos * x + sin * y, cos * y - sin * x
+
+
+def require_place(name: str, place: Place) -> None:
+    """Require a place that can be a robot's or a frame's in a map."""
+    require(isinstance(place, Place), name, place, "it must be a Place")
+    place.check()
 
 
 class Trail:

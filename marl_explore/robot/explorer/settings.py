@@ -2,10 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from marl_explore.config.checks import require_not_negative, require_positive, require_share
+from marl_explore.config.checks import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_share,
+)
 from marl_explore.config.fields import check_types
+
+SMALLEST, LARGEST = 0.03, 5.0
+"""Radius of a robot (metres)."""
+_DAY = 86_400.0
+_POSITIVE = {
+    "min_frontier": ("metres", 100.0),
+    "arrival": ("metres", 10.0),
+    "goal_radius": ("metres", 10.0),
+    "refusal": ("seconds", _DAY),
+    "no_progress": ("seconds", _DAY),
+    "slowest": ("metres per second", 10.0),
+    "map_patience": ("seconds", _DAY),
+    "view": ("metres", 10.0),
+    "lost_after": ("seconds", _DAY),
+}
+"""Units of settings that must be positive, and most of each."""
+_NOT_NEGATIVE = {
+    "settle": ("seconds", _DAY),
+    "gain": ("metres", 1000.0),
+    "keep": ("metres", 1000.0),
+    "territory": ("metres", 1000.0),
+    "body_radius": ("metres", 10.0),
+    "body_time": ("seconds", 3600.0),
+}
+"""The same of those that may be 0."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +84,10 @@ class ExplorerSettings:
     def __post_init__(self) -> None:
         """Check the settings."""
         check_types(self)
-        for name in (field.name for field in fields(self) if field.name != "return_to_start"):
-            if name in ("gain", "keep", "territory", "settle", "body_radius", "body_time"):
-                require_not_negative(name, getattr(self, name))
-            elif name == "most_conflicts":
-                require_share(name, getattr(self, name))
-            else:
-                require_positive(name, getattr(self, name))
+        allowed = f"it must be from {SMALLEST:g} to {LARGEST:g} metres"
+        require(SMALLEST <= self.radius <= LARGEST, "radius", self.radius, allowed)
+        for name, (unit, most) in _POSITIVE.items():
+            require_positive(name, getattr(self, name), unit, most)
+        for name, (unit, most) in _NOT_NEGATIVE.items():
+            require_not_negative(name, getattr(self, name), unit, most)
+        require_share("most_conflicts", self.most_conflicts)

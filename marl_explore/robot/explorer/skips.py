@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_explore.robot.explorer.grids import CoarseGrid, Mask
+from marl_explore.robot.explorer.grids import CoarseGrid, Mask, part_of
 from marl_explore.robot.explorer.places import Place, Point
 
 TRIES = 2
@@ -125,6 +125,5 @@ class SkipList:
 def _around(place: Place, radius: float, grid: CoarseGrid) -> NDArray[np.int8]:
     """The square of cells around a place."""
     cells, (row, column) = round(radius / grid.side), grid.cell(place)
-    steps = range(-cells, cells + 1)
-    codes = [[grid.code((row + up, column + side)) for side in steps] for up in steps]
-    return np.array(codes, np.int8)
+    first = row - cells + grid.first[0], column - cells + grid.first[1]
+    return part_of(grid, first, (2 * cells + 1, 2 * cells + 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from marl_explore.robot.explorer.grids import OccupancyMap
+from marl_explore.robot.explorer.grids import MOST_TOGETHER, OccupancyMap
 from marl_explore.robot.explorer.merging import Fit
 from marl_explore.robot.explorer.places import Place, Point, Trail
 from marl_explore.robot.explorer.settings import ExplorerSettings
@@ -26,7 +26,9 @@ class Mate:
     fit: Fit | None = None
     """How its map fits the own one."""
     refused: bool = False
-    """Whether its map contradicts the own one."""
+    """Whether its map contradicts the own one, or is too large."""
+    is_too_large: bool = False
+    """Whether it has too many cells together with those that were merged before."""
 
     def is_heard(self, time: float, settings: ExplorerSettings) -> bool:
         """Whether it is not lost."""
@@ -52,6 +54,8 @@ class Mate:
         common = f"{self.fit.common:.1f} m2 are in both maps"
         if self.fit.is_little:
             return f"map not merged yet, only {common}"
+        if self.is_too_large:
+            return f"map refused, its places do not count: over {MOST_TOGETHER} cells together"
         done = "map refused, its places do not count" if self.refused else "map merged"
         walls = f"{self.fit.conflicts:.1f} of {self.fit.walls:.1f} m2 of walls contradict"
         return f"{done}: {walls}, {common}"

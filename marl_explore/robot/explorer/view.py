@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,7 +11,15 @@ import numpy as np
 from marl_explore.config.constants import FREE
 from marl_explore.robot.explorer.choice import Rival
 from marl_explore.robot.explorer.frontiers import Cluster, border, cells_of, long_clusters
-from marl_explore.robot.explorer.grids import CoarseGrid, CoarseMap, Mask, OccupancyMap, union
+from marl_explore.robot.explorer.grids import (
+    MOST_TOGETHER,
+    CoarseGrid,
+    CoarseMap,
+    Mask,
+    OccupancyMap,
+    span,
+    union,
+)
 from marl_explore.robot.explorer.merging import fit
 from marl_explore.robot.explorer.places import Place, Point
 from marl_explore.robot.explorer.settings import ExplorerSettings
@@ -107,8 +116,13 @@ def look(
             continue
         layer = CoarseMap(mate.map, size, team.bodies(mate.name, time, settings), body)
         mate.fit = fit(mine.grid, layer.grid)
+        mate.is_too_large = False
         mate.refused = mate.fit.contradicts(settings.most_conflicts)
-        if not (mate.refused or mate.fit.is_little):
+        if mate.refused or mate.fit.is_little:
+            continue
+        _, shape = span([entry.grid for entry in (*layers, layer)])
+        mate.is_too_large = mate.refused = math.prod(shape) > MOST_TOGETHER
+        if not mate.refused:
             layers.append(layer)
     grid = union(layer.grid for layer in layers)
     free = grid.codes == FREE

@@ -20,7 +20,7 @@ from marl_explore import ArenaConfig
 import marl_explore.ros2.convert, marl_explore.ros2.parameters
 from marl_explore.robot import BarrierClock, ExportedPolicy, Pose, RobotCore, Scan
 policy = ExportedPolicy(sys.argv[1], robot=0)
-core = RobotCore(0, ArenaConfig(num_agents=2), policy, BarrierClock([0]), fpr=policy.fpr)
+core = RobotCore(0, ArenaConfig(num_agents=2), policy, BarrierClock(range(2)), fpr=policy.fpr)
 core.advance(0.0)
 core.receive(Pose(1.0, 0, 0.25, 0.25, 0.0), 1.0)
 core.receive(Scan(1.0, np.full(360, np.inf)), 1.0)

@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[3]
+DOMAINS = 100
+
+
+def own_domain():
+    """A domain of DDS that no other run of these tests on this machine has."""
+    for number in range(DOMAINS):
+        domain = 1 + (os.getpid() + number) % DOMAINS
+        path = Path(tempfile.gettempdir()) / f"marl_explore_domain_{domain}.lock"
+        lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+        else:
+            return domain  # the lock lasts as long as this process
+    raise RuntimeError(f"all {DOMAINS} domains of DDS are in use")
+
+
 os.environ |= {
     # other teams on this machine are not heard
-    "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+    "ROS_DOMAIN_ID": str(own_domain()),
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }

@@ -127,6 +127,9 @@ def test_a_dry_run_sends_no_velocity_and_broken_letters_are_dropped(workspace, t
         ("robot_node", ["--ros-args", "-p", "rat:=5.0"], "error: parameter 'rat' is not allowed"),
         ("lab_sim", ["--ros-args", "-p", "speed:=0.0"], "error: speed=0.0 is not allowed"),
         ("lab_sim", ["--ros-args", "-p", "arena.num_agents:=2"], "the arena has 2 robots"),
+        ("lab_sim", ["--ros-args", "-p", "team:=[/a, b, c, d]"], "'/a' is no namespace"),
+        ("lab_sim", ["--ros-args", "-p", "seed:=-1"], "error: seed=-1 is not allowed"),
+        ("lab_sim", ["--ros-args", "-p", "frame:=''"], "error: frame='' is not allowed"),
     ],
 )
 def test_what_cannot_work_is_refused_in_a_line(workspace, program, words, said):

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt, label
 
 from marl_explore.config.constants import FREE, OCCUPIED, UNKNOWN
@@ -40,6 +42,52 @@ def test_nearer_is_a_distance(reach):
     for row, column in zip(*cells.nonzero(), strict=True):
         expected |= np.hypot(rows - row, columns - column) < reach
     assert np.array_equal(nearer(cells, reach), expected)
+
+
+@given(
+    st.integers(1, 12),
+    st.integers(1, 12),
+    st.floats(0.1, 20.0) | st.integers(1, 20).map(float),
+    st.floats(0.0, 1.0),
+    st.integers(0, 2**32 - 1),
+)
+def test_nearer_is_a_distance_also_in_grids_smaller_than_the_reach(
+    height, width, reach, share, seed
+):
+    cells = np.random.default_rng(seed).random((height, width)) < share
+    rows, columns = np.indices(cells.shape)
+    expected = np.zeros_like(cells)
+    for row, column in zip(*cells.nonzero(), strict=True):
+        expected |= (rows - row) ** 2 + (columns - column) ** 2 < reach**2
+    assert np.array_equal(nearer(cells, reach), expected)
+
+
+@pytest.mark.parametrize(
+    ("shape", "resolution", "radius"),
+    [
+        ((1, 1), 0.05, 0.2),
+        ((2, 2), 0.05, 0.2),
+        ((3, 3), 0.03, 0.2),
+        ((5, 5), 0.02, 0.2),
+        ((5, 100), 0.02, 0.2),
+        ((100, 5), 0.02, 0.2),
+        ((60, 60), 0.05, 5.0),
+    ],
+)
+def test_maps_with_few_rows_have_coarse_cells(shape, resolution, radius):
+    """They are as free or closed as the same cells in the middle of a larger unknown map."""
+    percent = np.zeros(shape, np.int8)
+    percent[0, -1] = 100
+    given = OccupancyMap(percent, resolution, Place(0.0, 0.0))
+    rim = math.ceil(radius / resolution)
+    corner = Place(-rim * resolution, -rim * resolution)
+    wide = OccupancyMap(np.pad(percent, rim, constant_values=-1), resolution, corner)
+    small, large = CoarseMap(given, radius), CoarseMap(wide, radius)
+    fits = large._fits[rim:-rim, rim:-rim]
+    assert np.array_equal(small._fits, fits)
+    for cell in np.argwhere(small.grid.codes == FREE):
+        middle = small.grid.middle(tuple(cell.tolist()))
+        assert large.grid.code(large.grid.cell(middle)) == FREE
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -160,11 +208,72 @@ def test_spots_are_places_into_which_the_robot_fits():
         ),
         (OccupancyMap(np.zeros((2, 3), np.int8), math.nan, Place(0, 0)), "resolution=nan is not"),
         (OccupancyMap(np.zeros((2, 3), np.int8), 0.05, Place(0, math.inf)), "y=inf is not allowed"),
+        (OccupancyMap(np.zeros((2, 3)), 0.05, Place(0, 0)), "percent=.*float64.* array of int8"),
+        (OccupancyMap(np.full((2, 3), math.nan), 0.05, Place(0, 0)), "percent=.* array of int8"),
+        (OccupancyMap(np.full((2, 3), 200, np.uint8), 0.05, Place(0, 0)), "percent=.*uint8"),
+        (OccupancyMap(np.full((2, 3), 200, np.int16), 0.05, Place(0, 0)), "percent=.*int16"),
+        (OccupancyMap([[0, 0], [0, 100]], 0.05, Place(0, 0)), "percent=.*list.* array of int8"),
+        (OccupancyMap(None, 0.05, Place(0, 0)), "percent=.* array of int8"),
+        (OccupancyMap(np.full((2, 3), 101, np.int8), 0.05, Place(0, 0)), "percent=101 is not"),
+        (OccupancyMap(np.full((2, 3), -2, np.int8), 0.05, Place(0, 0)), "percent=-2 is not allow"),
+        (OccupancyMap(np.zeros((2, 3), np.int8), None, Place(0, 0)), "resolution=None is not allo"),
+        (
+            OccupancyMap(np.zeros((2, 3), np.int8), "a", Place(0, 0)),
+            "resolution='a' is not allowed",
+        ),
+        (OccupancyMap(np.zeros((2, 3), np.int8), 0.05, (0, 0, 0)), "origin=.* must be a Place"),
+        (OccupancyMap(np.zeros((2, 3), np.int8), 0.05, None), "origin=None is not allowed"),
     ],
 )
 def test_maps_that_are_none_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         given.check()
+
+
+@pytest.mark.parametrize(
+    ("shape", "resolution", "radius", "yaw", "message"),
+    [
+        ((60, 60), 5.0, 0.2, 0.0, "resolution=5.0 .* radius=0.2 m the 60 x 60 .* 20250000 fine"),
+        ((60, 60), 0.05, 0.003, 0.0, "resolution=0.05 .* radius=0.003 m .* 9000000 fine"),
+        (
+            (3000, 3000),
+            0.05,
+            0.2,
+            0.0,
+            "9000000 fine and 22[0-9]* coarse ones, and at most 8000000",
+        ),
+        ((1, 400_000), 0.05, 0.2, 0.8, "at most 8000000 are allowed"),
+        ((60, 60), 0.002, 0.5, 0.0, "resolution=0.002 .* radius=0.5 m it must be at least 0.0025"),
+    ],
+)
+def test_maps_that_take_too_long_are_refused(shape, resolution, radius, yaw, message):
+    percent = np.zeros(shape, np.int8)
+    given = OccupancyMap(percent, resolution, Place(0.0, 0.0, yaw))
+    given.check()
+    with pytest.raises(ValueError, match=message):
+        given.check_size(radius)
+
+
+@pytest.mark.parametrize(
+    ("shape", "resolution", "radius", "yaw"),
+    [
+        ((2800, 2800), 0.05, 0.2, 0.0),
+        ((1, 400_000), 0.05, 0.2, 0.0),
+        ((60, 60), 0.05, 0.03, 0.0),
+        ((60, 60), 0.001, 0.2, 0.0),
+        ((26, 26), 5.0, 0.2, 0.0),
+    ],
+)
+def test_large_maps_are_taken(shape, resolution, radius, yaw):
+    OccupancyMap(np.zeros(shape, np.int8), resolution, Place(0.0, 0.0, yaw)).check_size(radius)
+
+
+def test_the_size_that_is_checked_is_that_of_the_cells():
+    for resolution, yaw in ((0.05, 0.0), (0.11, 0.7), (0.3, 2.0)):
+        given = OccupancyMap(np.zeros((40, 90), np.int8), resolution, Place(0.3, 0.2, yaw))
+        coarse = CoarseMap(given, RADIUS)
+        assert coarse.fine.percent.size == given.percent.size * given._parts(RADIUS) ** 2
+        assert coarse.grid.codes.size < 1.2 * given.coarse_cells(RADIUS)
 
 
 # ---------------------------------------------------------------- unions and contradictions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from itertools import product
 
 import numpy as np
@@ -250,11 +251,35 @@ def test_trails_are_forgotten():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("radius", 0.0), ("settle", -1.0), ("most_conflicts", 1.5), ("view", math.inf)],
+    [
+        ("radius", 0.0),
+        ("settle", -1.0),
+        ("most_conflicts", 1.5),
+        ("view", math.inf),
+        ("radius", 0.003),
+        ("radius", 1_000_000.0),
+    ],
 )
 def test_settings_are_checked(name, value):
     with pytest.raises(ValueError, match=f"{name}={value} is not allowed"):
         ExplorerSettings(**{name: value})
+
+
+@pytest.mark.parametrize("value", [1e300, math.inf, -1e300, math.nan])
+def test_settings_have_bounds_on_both_sides(value):
+    for field in fields(ExplorerSettings):
+        if field.name != "return_to_start":
+            with pytest.raises(ValueError, match=f"{field.name}=.* is not allowed"):
+                ExplorerSettings(**{field.name: value})
+
+
+def test_settings_at_their_bounds_are_taken():
+    assert ExplorerSettings(radius=0.03).radius == 0.03
+    assert ExplorerSettings(radius=5.0, view=10.0, settle=0.0, body_time=0.0).radius == 5.0
+    with pytest.raises(ValueError, match="view=10.5 is not allowed: it must be at most 10 metres"):
+        ExplorerSettings(view=10.5)
+    with pytest.raises(ValueError, match="radius=0.02 .*: it must be from 0.03 to 5 metres"):
+        ExplorerSettings(radius=0.02)
 
 
 def test_what_an_explorer_cannot_take():
@@ -265,6 +290,10 @@ def test_what_an_explorer_cannot_take():
         (core.take_place, (Place(0.0, 0.0), "a"), "mate='a' is not allowed"),
         (core.take_place, (Place(math.nan, 0.0),), "x=nan is not allowed"),
         (core.take_goal, (Place(0.0, 0.0, math.inf), "b"), "yaw=inf is not allowed"),
+        (core.take_place, (Place(None, 0.0),), "x=None is not allowed"),
+        (core.take_place, (Place(0.0, "a"), "b"), "y='a' is not allowed"),
+        (core.take_place, ((1.0, 1.0),), "place=.* must be a Place"),
+        (core.take_goal, (None, "b"), "goal=None is not allowed"),
     ):
         with pytest.raises(ValueError, match=message):
             take(*what)
@@ -289,6 +318,55 @@ def test_maps_that_would_take_all_memory_are_refused(resolution, origin, message
         core.take_map(given, mate)
     with pytest.raises(ValueError, match="x=1e[+]308 is not allowed"):
         core.take_place(Place(1e308, 0.0), mate)
+
+
+@pytest.mark.parametrize("mate", [None, "b"])
+def test_maps_that_would_take_minutes_are_refused(mate):
+    core = ExplorerCore(name="a", mates={"b": Place(0.0, 0.0, 0.8)})
+    coarse = OccupancyMap(np.zeros((60, 60), np.int8), 5.0, Place(0.0, 0.0))
+    long = OccupancyMap(np.zeros((1, 400_000), np.int8), 0.05, Place(0.0, 0.0, 0.8))
+    for large in (coarse, long):
+        with pytest.raises(ValueError, match="resolution=.* radius=0.2 m .* at most 8000000"):
+            core.take_map(large, mate)
+    assert core.advance(1.0).status.team == ("b: not heard yet",)
+
+
+def test_maps_that_are_too_large_together_are_not_merged():
+    """Two corridors of 500 m that cross: together they would have 25 million coarse cells."""
+    core = ExplorerCore(name="a", mates={"b": Place(0.0, 0.0)})
+    long = np.zeros((40, 10_000), np.int8)
+    core.take_map(OccupancyMap(long, 0.05, Place(0.0, 0.0)))
+    core.take_map(OccupancyMap(long.T, 0.05, Place(0.0, 0.0)), "b")
+    core.take_place(Place(1.0, 1.0))
+    core.take_place(Place(1.0, 1.5), "b")
+    output = core.advance(1.0)
+    assert output.status.state == "exploring"
+    (said,) = output.status.team
+    assert said == "b: map refused, its places do not count: over 16000000 cells together"
+
+
+@pytest.mark.parametrize("now", [math.nan, math.inf, -math.inf, None, "1"])
+def test_times_that_are_none_are_refused(now):
+    core = ExplorerCore()
+    with pytest.raises(ValueError, match="now=.* is not allowed: .* seconds"):
+        core.advance(now)
+    assert core.advance(1.0).status.sentence == "waiting for a map"
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 12])
+@pytest.mark.parametrize("resolution", [0.02, 0.05])
+def test_small_maps_are_looked_at_the_own_one_and_a_teammates(size, resolution):
+    room = np.full((80, 80), 100, np.int8)
+    room[10:70, 10:70] = 0
+    large = OccupancyMap(room, 0.05, Place(0.0, 0.0))
+    small = OccupancyMap(np.zeros((size, size), np.int8), resolution, Place(1.5, 1.5))
+    for own, other in ((small, large), (large, small)):
+        core = ExplorerCore(name="a", mates={"b": Place(0.0, 0.0)})
+        core.take_map(own)
+        core.take_map(other, "b")
+        core.take_place(Place(1.51, 1.51))
+        for now in (1.0, 1.5, 3.0):
+            assert core.advance(now).status.state == "exploring"
 
 
 def test_a_map_far_from_the_own_one_is_not_merged_and_takes_no_memory():
