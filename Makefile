@@ -20,7 +20,7 @@ RLLIB := .venv-rllib
 # and the newest versions that pyproject.toml allows
 NEWEST := .venv-newest
 
-.PHONY: demo dist docs docs-links programs test test-newest test-all test-benchmarl test-docs test-rllib test-ros lint speed leaderboard clean
+.PHONY: demo dist docs docs-links environments programs test test-newest test-all test-benchmarl test-docs test-extras test-rllib test-ros lint speed leaderboard clean
 # one after the other: they share an environment, and the programs come before what is built by them
 .NOTPARALLEL:
 
@@ -30,7 +30,9 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n 2 tests --ignore=tests/extras
 
-test-all: programs test test-benchmarl test-docs test-rllib test-ros $(VENV)/installed-extras
+test-all: programs test test-benchmarl test-docs test-rllib test-ros test-extras
+
+test-extras: $(VENV)/installed-extras
 	$(BIN)/python -m pytest -n 2 tests/extras \
 	  --ignore=tests/extras/benchmarl --ignore=tests/extras/docs --ignore=tests/extras/rllib \
 	  --ignore=tests/extras/ros2
@@ -57,6 +59,9 @@ test-ros: $(ROS)/installed
 
 programs:
 	tests/extras/install.sh
+
+# all that the tests need, one after the other: each builds the package in the same folder
+environments: $(VENV)/installed-extras $(BENCHMARL)/installed $(RLLIB)/installed $(ROS)/installed
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
