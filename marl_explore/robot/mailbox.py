@@ -44,8 +44,9 @@ class Mailbox:
             shares = self._shares[message.tick]
             shares.setdefault(message.robot, (envelope.sender, message))
             _forget_first(self._shares)
-            before = self._new.get(message.robot, message.evidence)
-            self._new[message.robot] = before.joined(message.evidence)
+            before = self._new.get(message.robot)
+            new = message.evidence if before is None else before.joined(message.evidence)
+            self._new[message.robot] = new
 
     def intents(self, tick: int, robots: Iterable[int]) -> dict[int, Intent]:
         """The intents that arrived from some robots for a tick."""

@@ -46,8 +46,10 @@ def coverage_figure(
             name: curve if isinstance(curve, Band) else middle_half(curve.numpy())
             for name, curve in curves.items()
         }
-        last_step = max(len(band.value) for band in bands.values()) - 1
-        end = last_step if whole else _end_of_interest([band.value for band in bands.values()])
+        means = [band.value for band in bands.values()]
+        end = max(map(len, means)) - 1
+        if not whole:
+            end = min(end, _end_of_interest(means))
         for name, style in line_styles(bands):
             *_, last = value = bands[name].value
             steps = np.arange(len(value), dtype=np.float64)
@@ -71,9 +73,8 @@ def _end_of_interest(curves: Sequence[Array]) -> int:
     arrivals = sorted(
         int((curve >= _DONE).argmax()) if curve[-1] >= _DONE else len(curve) - 1 for curve in curves
     )
-    last = max(len(curve) - 1 for curve in curves)
     second = arrivals[-2:][0]
-    return min(last, max(1, second + second // 10))
+    return max(1, second + second // 10)
 
 
 def lab_figure(coverage: Mapping[str, Tensor], path: str | Path) -> Path:
