@@ -62,6 +62,10 @@ def draw(curves: dict[str, dict[str, dict[int, float]]], path: str | Path) -> No
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axes.yaxis.set_major_formatter("{x:g}")
             axes.grid(alpha=0.25)
+        figure.suptitle(
+            "What a step of the environment costs, with FPR and NET",
+            fontsize=STYLE["axes.titlesize"],
+        )
         panels[0].set_ylabel("microseconds per observation")
         panels[0].legend()
         save(figure, path)

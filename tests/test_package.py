@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,21 @@ def test_public_names_resolve():
             assert found.__name__ == name
     assert marl_explore.__version__
     assert set(marl_explore.__all__) <= set(dir(marl_explore))
+
+
+def test_every_file_that_names_the_version_names_the_same():
+    root = Path(__file__).parent.parent
+    places = {
+        "pyproject.toml": r'^version = "(.+)"$',
+        "CITATION.cff": r"^version: (.+)$",
+        "marl_explore/ros2/setup.py": r'^ +version="(.+)",$',
+        "marl_explore/ros2/package.xml": r"<version>(.+)</version>",
+        "CHANGELOG.md": r"^## (\d\S*)",
+    }
+    for file, pattern in places.items():
+        found = re.search(pattern, (root / file).read_text(), re.MULTILINE)
+        assert found is not None, file
+        assert found[1] == marl_explore.__version__, file
 
 
 def test_unknown_names_are_attribute_errors():
