@@ -8,6 +8,7 @@ any number of times, end with equal maps, and nothing old undoes what a robot ha
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,6 +107,18 @@ class Evidence:
             np.where(says, looks, self.looks),
             np.where(says, np.maximum(self.rank + 1, worth), self.rank),
         )
+
+    def without(self, cells: Iterable[GridCell], model: EvidenceModel) -> tuple[Evidence, int]:
+        """The evidence without obstacles in some cells, and how many there were.
+
+        For the cells in which a robot has been that others took for an obstacle.
+        """
+        looks, rank = self.looks.copy(), self.rank.copy()
+        wrong = [cell for cell in cells if looks[cell] > 0]
+        for cell in wrong:
+            looks[cell] = -model.limit
+            rank[cell] += 1
+        return Evidence(looks, rank), len(wrong)
 
     def joined(self, other: Evidence) -> Evidence:
         """In every cell the evidence with the higher rank; at the same rank more looks count, then

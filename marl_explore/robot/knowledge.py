@@ -50,6 +50,7 @@ class Knowledge:
         """int8 [H, W]."""
         self.changes = 0
         """How often a cell of the map became known or changed."""
+        self._others = np.arange(robots) != robot
         self.unshared = np.zeros(robots, np.int64)
         self.steps_since_merge = np.full(robots, NEVER, np.int64)
         self.steps_since_merge[robot] = 0
@@ -57,6 +58,8 @@ class Knowledge:
         """The last maps that were refused."""
         self.refused: Counter[int] = Counter()
         """How many maps of each robot were refused."""
+        self._stood: list[set[GridCell]] = [set() for _ in range(robots)]
+        """Cells in which the robot has been since its last merge with each robot."""
         self._began = False
 
     def sense(self, cell: GridCell, seen: Map, tick: int) -> int:
@@ -71,6 +74,8 @@ class Knowledge:
             Number of cells that became known or changed.
         """
         found = self._placed(cell, seen)
+        for stood in self._stood:
+            stood.add(cell)
         changed = self._become(self.evidence.looked(found, tick, self.model, cell))
         self.unshared += changed
         self.unshared[self.robot] = 0
@@ -92,14 +97,15 @@ class Knowledge:
     def pass_time(self) -> None:
         """Count a step in which nothing was seen, or that has been seen."""
         if self._began:
-            others = np.arange(len(self.unshared)) != self.robot
-            self.steps_since_merge = np.minimum(self.steps_since_merge + others, NEVER)
+            self.steps_since_merge = np.minimum(self.steps_since_merge + self._others, NEVER)
         self._began = True
 
     def merge(self, maps: Mapping[int, Evidence], tick: int = 0) -> int:
         """Merge the maps of the other members of a network into the own map.
 
-        One that contradicts the own map, or those merged before it, is refused and reported.
+        One that contradicts the own map, or those merged before it, is refused and reported. Where
+        this robot has been since the last merge with another, that one's obstacle was this robot:
+        the cell stays free.
 
         Args:
             maps: evidence by robot, merged in the order of their numbers.
@@ -110,15 +116,18 @@ class Knowledge:
         """
         changed = 0
         for robot, evidence in sorted(maps.items()):
-            other = evidence.map
+            corrected, wrong = evidence.without(self._stood[robot], self.model)
+            other = corrected.map
             agreement = fit(self.map, other)
             if self.limits.exceeded(agreement):
                 cause = likely_cause(self.map, other, self.limits)
                 self.refusals.append(Refusal(robot, tick, agreement, cause))
                 self.refused[robot] += 1
                 continue
-            changed += self._become(self.evidence.joined(evidence))
+            changed += self._become(self.evidence.joined(corrected))
             self.unshared[robot] = self.steps_since_merge[robot] = 0
+            self.unshared[self._others] += wrong
+            self._stood[robot].clear()
         return changed
 
     def _become(self, evidence: Evidence) -> int:

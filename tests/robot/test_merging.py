@@ -79,6 +79,40 @@ def test_robots_that_know_different_parts_of_the_arena_merge():
     assert not knowledge.refused
 
 
+def test_an_obstacle_where_the_robot_itself_has_been_is_free():
+    codes, end = rooms(), 300
+    alone = who_knows(codes, *range(9))
+    before = {tuple(cell) for cell in np.argwhere(alone.map == 0)[1:3].tolist()}
+    for tick, cell in enumerate(sorted(before), 9):
+        alone.sense(cell, np.zeros((1, 1), np.int8), tick)
+    taken = patch(codes, *before)  # the others took it for an obstacle, twice
+    others = seen_at(taken, end - 2, end - 1, end)
+    assert alone.merge({1: others}, end + 1) == 0
+    assert np.array_equal(alone.map, codes)
+    assert alone.unshared.tolist() == [0, 2, 2]
+    # and they believe it, in either order
+    for first, second in ((others, alone.evidence), (alone.evidence, others)):
+        assert np.array_equal(first.joined(second).map, codes)
+    # from the merge on, another robot's obstacle there is one
+    box = sorted(before)[0]
+    assert alone.merge({1: seen_at(patch(codes, box), *range(end + 40, end + 43))}, end + 50) == 1
+    assert alone.map[box] == 1
+    # robot 2 was not merged with since
+    assert alone.merge({2: seen_at(taken, *range(end + 80, end + 83))}, end + 90) == 1
+    assert np.array_equal(alone.map, codes)
+
+
+def test_obstacles_where_the_robot_itself_has_been_are_no_reason_to_refuse_a_map():
+    codes = rooms()
+    alone = who_knows(codes, *range(9))
+    way = [tuple(cell) for cell in np.argwhere(alone.map == 0)[1:31].tolist()]
+    for tick, cell in enumerate(way, 9):
+        alone.sense(cell, np.zeros((1, 1), np.int8), tick)
+    assert alone.merge({1: seen_at(patch(codes, *way), 300, 301, 302)}, 303) == 0
+    assert not alone.refusals
+    assert np.array_equal(alone.map, codes)
+
+
 # ---------------------------------------------------------------- what is refused
 
 
