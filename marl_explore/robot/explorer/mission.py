@@ -47,6 +47,7 @@ class Mission:
         self._visited: Point | None = None
         self._next_map, self._waits_until = 0, -math.inf
         self._empty_since: float | None = None
+        self._no_way_since: float | None = None
         self._is_home = self._can_move = self._failed = False
         self._returns = 0
         self._place, self._time = start, 0.0
@@ -204,6 +205,15 @@ class Mission:
             self._is_home = True
             return None
         cell = view.nearest_reached(self.start)
+        if cell is not None:
+            self._no_way_since = None
+        elif self._no_way_since is None:
+            self._no_way_since = self._time
+        if cell is None and self._time - self._no_way_since < self.settings.no_progress:
+            # perhaps a teammate is in it
+            self.state = "returning"
+            self.sentence += "; waiting for a way to the start"
+            return None
         if cell is None or self._returns >= TRIES:
             self.sentence += "; the robot cannot return to its start"
             return None

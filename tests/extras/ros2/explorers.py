@@ -104,12 +104,22 @@ class Slam(Node):
         together: whether nobody drives until every explorer has said something.
         has_clock: whether it publishes ``/clock``; otherwise stamps are of a clock of its own.
         rover: options of every ``Rover``.
+        waits: seconds of the world by which explorers may be behind before it stands still: on a
+            busy machine its time must not run away from them.
     """
 
     STEP = 0.25
 
     def __init__(
-        self, world, frames, volatile=(), speed=8.0, together=True, has_clock=True, rover=None
+        self,
+        world,
+        frames,
+        volatile=(),
+        speed=8.0,
+        together=True,
+        has_clock=True,
+        rover=None,
+        waits=math.inf,
     ):
         super().__init__("slam_sim")
         self.world, self.time, self.has_clock = world, 1000.0, has_clock
@@ -125,7 +135,8 @@ class Slam(Node):
             self._hear(PoseStamped, f"{top}goal_pose", partial(self._goal, name), 1)
             self._hear(DiagnosticArray, f"{top}explorer/status", partial(self._status, name), 1)
             self._hear(MarkerArray, f"{top}explorer/markers", partial(self._marker, name), LATEST)
-        self.together = together
+        self.together, self.waits, self._heard = together, waits, {}
+        self.events = []  # (whether it is time, what happens then): between two steps of the world
         self._clock_topic = self.create_publisher(Clock, "/clock", 1)
         steady = SystemClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self.STEP / speed, self._step, clock=steady)
@@ -139,6 +150,8 @@ class Slam(Node):
 
     def _status(self, name, message):
         (status,) = message.status
+        stamp = message.header.stamp
+        self._heard[name] = stamp.sec + stamp.nanosec * 1e-9
         values = {entry.key: entry.value for entry in status.values}
         self.statuses[name] = status, values
         states = self.states.setdefault(name, [])
@@ -152,6 +165,11 @@ class Slam(Node):
         return self.states.get(name, [None])[-1]
 
     def _step(self):
+        if self.time - min(self._heard.values(), default=self.time) > self.waits:
+            return
+        for event in [event for event in self.events if event[0]()]:
+            self.events.remove(event)
+            event[1]()
         self.time += self.STEP
         self._steps += 1
         for name, rover in self.rovers.items():

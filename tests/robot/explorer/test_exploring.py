@@ -123,6 +123,30 @@ def test_poses_that_come_every_half_metre_are_enough():
     assert explored(run) > 0.93
 
 
+def test_a_way_back_that_is_blocked_for_a_while_is_waited_for():
+    run = trial(DEAD_END)
+    run.world.open("a")
+    run.until(lambda: run.state("robot_1") == "returning", 300)
+    assert run.rovers["robot_1"].at.x > 3.5  # behind the door
+    run.world.close("a")
+    run.until(lambda: "waiting for a way" in status(run).sentence, 30)
+    run.run(5)
+    run.world.open("a")
+    run.until(lambda: is_done(run), 100)
+    assert run.states["robot_1"] == ["exploring", "returning", "complete"]
+    assert run.rovers["robot_1"].at.distance(run.world.starts["1"]) <= 0.5
+
+
+def test_a_robot_that_is_shut_in_says_so():
+    run = trial(DEAD_END)
+    run.world.open("a")
+    run.until(lambda: run.state("robot_1") == "returning", 300)
+    run.world.close("a")
+    run.until(lambda: is_done(run), 200)
+    assert status(run).state == "complete"
+    assert "the robot cannot return to its start" in status(run).sentence
+
+
 def test_without_a_return_it_stays():
     run = trial(settings=ExplorerSettings(return_to_start=False))
     run.until(lambda: is_done(run), 300)
