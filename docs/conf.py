@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from importlib.metadata import version as version_of
@@ -25,6 +26,11 @@ html_theme = "furo"
 html_title = "marl_explore"
 html_show_copyright = False
 html_copy_source = False
+html_theme_options = {
+    "source_repository": "https://github.com/marl-explore/marl_explore/",
+    "source_branch": "main",
+    "source_directory": "docs/",
+}
 html_show_sourcelink = False
 
 nitpicky = True
@@ -50,6 +56,7 @@ autodoc_typehints_format = "short"
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
 
 RECORDS = Path(__file__).parent / "runs"
+SITE = "https://marl-explore.readthedocs.io/en/latest/"
 
 
 def fit_links(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -59,6 +66,20 @@ def fit_links(app: Sphinx, docname: str, source: list[str]) -> None:
     if docname == "runs/README":  # GitHub lists the folder's files by itself
         names = sorted(path.name for path in RECORDS.glob("*.json"))
         source[0] += "\n" + "\n".join(f"- [{name}]({name})" for name in names) + "\n"
+
+
+def fit_notebooks(app: Sphinx, failed: Exception | None) -> None:
+    """Make downloaded notebooks stand alone: their links lead to the site."""
+    for path in Path(app.outdir, "_downloads").glob("*/*.ipynb"):
+        book = json.loads(path.read_text())
+        for cell in book["cells"]:
+            if cell["cell_type"] == "markdown":
+                text = "".join(cell["source"]).replace("](../", f"]({SITE}")
+                text = re.sub(r"\]\((\w+)\.md", rf"]({SITE}tutorials/\1.md", text)
+                text = re.sub(rf"(\]\({re.escape(SITE)}[\w/]+)\.md", r"\1.html", text)
+                page = r"You can\s+download\s+this\s+page\s+\{nb-download\}`[^`]*`\s+and\s+run\s+it\s+with"
+                cell["source"] = re.sub(page, "It needs", text)
+        path.write_text(json.dumps(book, indent=1))
 
 
 def fit_docstring(
@@ -99,4 +120,5 @@ def setup(app: Sphinx) -> None:
     """Register the functions above."""
     app.connect("autodoc-process-signature", fit_signature)
     app.connect("source-read", fit_links)
+    app.connect("build-finished", fit_notebooks)
     app.connect("autodoc-process-docstring", fit_docstring, priority=400)  # before napoleon

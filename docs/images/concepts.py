@@ -43,7 +43,7 @@ def find_chain() -> tuple[ArenaConfig, TensorDictBase, TensorDictBase, Tensor]:
 def draw_cells(axes: Axes, cells: Tensor, title: str) -> None:
     """A map: -1 unknown, 0 free, 1 occupied; [H, W]."""
     axes.imshow(cells, cmap=CELLS, vmin=-1, vmax=1)
-    axes.set_title(title, fontsize=11)
+    axes.set_title(title, fontsize=10)
     axes.set(xticks=[], yticks=[])
 
 
@@ -64,7 +64,7 @@ def main() -> None:
     row, column = position[own].tolist()
 
     figure, (world, known, joined) = plt.subplots(1, 3, figsize=(10.5, 3.9), layout="constrained")
-    draw_cells(world, after["obstacles"][0].long(), "the arena, which nobody knows")
+    draw_cells(world, after["obstacles"][0].long(), "The arena, which nobody knows")
     for a in range(config.num_agents):
         for b in range(a):
             if linked[a, b]:
@@ -86,7 +86,7 @@ def main() -> None:
         slice(max(column - k, 0), column + k + 1),
     )
     map_before[near] = after["agents", "map"][0, own][near]
-    draw_cells(known, map_before, f"what robot {own} knows and sees")
+    draw_cells(known, map_before, f"What robot {own} knows and sees")
     window = (column - k - 0.5, row - k - 0.5)
     known.add_patch(Rectangle(window, side, side, fill=False, color=ROBOTS[own], linewidth=2))
     table = FrontierReachability("map", "at", out_key="fpr")(
@@ -104,7 +104,7 @@ def main() -> None:
             )
     draw_robots(known, position, [own])
 
-    draw_cells(joined, after["agents", "map"][0, own], f"what robot {own} knows after the exchange")
+    draw_cells(joined, after["agents", "map"][0, own], f"What robot {own} knows after the exchange")
     in_range = [i for i in range(config.num_agents) if linked[own, i]]
     draw_robots(joined, position, in_range)
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=120)

@@ -50,9 +50,8 @@ def training_figure(
             axes.xaxis.set_major_locator(MaxNLocator(5))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M
             axes.grid(alpha=0.25)
-        figure.suptitle(
-            "What policies learn\n(mean over training seeds, its 95 % interval shaded)",
-            fontsize=STYLE["axes.titlesize"],
+        panels[len(panels) // 2].set_title(
+            "How training goes\n(mean over seeds, 95 % interval shaded)"
         )
         legend(figure, panels[0])
         return save(figure, path)

@@ -94,6 +94,10 @@ def test_notebook(name, pages):
         "display_data",
     }
     assert any("image/png" in output.get("data", {}) for output in outputs)
+    text = "".join(cell.source for cell in book.cells if cell.cell_type == "markdown")
+    assert "It needs `pip install marl-explore notebook`" in text
+    assert "{nb-download}" not in text
+    assert all(link.startswith("https://") for link in re.findall(r"\]\((.*?)\)", text))
     links = [a["href"] for a in pages[SITE / f"tutorials/{name}.html"].select("a[download]")]
     assert sum(link.endswith(f"/{name}.ipynb") for link in links) == 1
 
