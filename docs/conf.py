@@ -77,8 +77,8 @@ def fit_notebooks(app: Sphinx, failed: Exception | None) -> None:
                 text = "".join(cell["source"]).replace("](../", f"]({SITE}")
                 text = re.sub(r"\]\((\w+)\.md", rf"]({SITE}tutorials/\1.md", text)
                 text = re.sub(rf"(\]\({re.escape(SITE)}[\w/]+)\.md", r"\1.html", text)
-                page = r"You can\s+download\s+this\s+page\s+\{nb-download\}`[^`]*`\s+and\s+run\s+it\s+with"
-                cell["source"] = re.sub(page, "It needs", text)
+                told = r"You can\s+download\s+this\s+page\s+\{nb-download\}`.*?`\s+and run it with"
+                cell["source"] = re.sub(told, "It needs", text)
         path.write_text(json.dumps(book, indent=1))
 
 

@@ -156,7 +156,8 @@ def seeds_figure(
         axes.set(
             xlabel=label,
             ylim=(len(scores) - 0.4, -0.6),
-            title="How well each training explores\n(a dot per seed; bar: mean with its 95 % interval)",
+            title="How well each training explores\n"
+            "(a dot per seed; bar: mean with its 95 % interval)",
         )
         axes.set_yticks(range(len(scores)), list(scores))
         axes.grid(axis="x", alpha=0.25)
