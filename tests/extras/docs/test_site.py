@@ -95,7 +95,7 @@ def test_notebook(name, pages):
     }
     assert any("image/png" in output.get("data", {}) for output in outputs)
     text = "".join(cell.source for cell in book.cells if cell.cell_type == "markdown")
-    assert "It needs `pip install marl-explore notebook`" in text
+    assert re.search(r"It needs\s`pip install marl-explore notebook`", text)
     assert "{nb-download}" not in text
     assert all(link.startswith("https://") for link in re.findall(r"\]\((.*?)\)", text))
     links = [a["href"] for a in pages[SITE / f"tutorials/{name}.html"].select("a[download]")]
