@@ -1,10 +1,11 @@
 """Search the weights of the planner ``goal-utility`` with an evolution strategy (CMA-ES).
 
 python recipes/search_goal_utility.py --generations 40 --out goal-utility.json
+python recipes/search_goal_utility.py --start goal-utility.json --generations 200 --out prior.json
 
 Every generation plays each candidate on the same newly drawn training arenas of several suites and
 team sizes; its loss is the mean number of steps to a complete map, relative to that of the weights
-that the search starts from. It needs ``pip install .[search]``.
+that the search starts from, on the same arenas. It needs ``pip install .[search]``.
 """
 
 from __future__ import annotations
@@ -32,17 +33,21 @@ from marl_explore import (
 from marl_explore.planners.goal_utility import weight_tensor
 
 TASKS = (
-    ("paper-12", 4, 48),
-    ("paper-12", 8, 24),
-    ("paper-12", 6, 24),
-    ("open-24", 4, 12),
-    ("open-24", 8, 8),
+    ("paper-12", 4, 64),
+    ("paper-12", 2, 24),
+    ("paper-12", 3, 24),
+    ("paper-12", 6, 32),
+    ("paper-12", 8, 32),
+    ("open-24", 4, 32),
+    ("open-24", 6, 16),
     ("corridor-24", 4, 16),
-    ("rooms-32", 4, 8),
-    ("maze-32", 4, 8),
-    ("cave-48", 4, 3),
+    ("rooms-32", 4, 12),
+    ("maze-32", 4, 12),
+    ("cave-48", 4, 8),
 )
 """Suite, robots, and arenas per generation."""
+PATIENCE = 1.6
+"""Episodes end after so many times the mean number of steps of the weights at the start."""
 START = GoalWeights(
     moves=0.144,
     log_moves=0.228,
@@ -108,20 +113,28 @@ class Arguments:
     average: int = 10
     """The result is the mean of the last so many generations' means."""
     seed: int = 0
+    start: Path | None = None
+    """File of an earlier search, from whose weights to start."""
+    first: int = 1000
+    """Number of the first training arena; searches one after the other take others."""
     out: Path = Path("goal-utility.json")
 
 
 @torch.no_grad()
-def play(weights: Tensor, suite: str, robots: int, first: int, arenas: int) -> Tensor:
-    """Steps until the largest map is complete, [candidates, arenas]; horizon + 1 if it is not.
+def play(
+    weights: Tensor, suite: str, robots: int, first: int, arenas: int, steps: int | None = None
+) -> Tensor:
+    """Steps until the largest map is complete, [candidates, arenas]; ``steps`` + 1 if it is not.
 
     Args:
         weights: of every candidate, [candidates, 22].
         suite, robots: the task.
         first: number of the first training arena.
         arenas: how many.
+        steps: most steps; None: those of the suite.
     """
-    config, steps = replace(default_config(suite), num_agents=robots), default_steps(suite)
+    config = replace(default_config(suite), num_agents=robots)
+    steps = steps or default_steps(suite)
     drawn = ExplorationEnv(
         config, num_envs=arenas, arenas=suite, stream="train", first_arena=first
     ).reset()
@@ -152,11 +165,17 @@ def play(weights: Tensor, suite: str, robots: int, first: int, arenas: int) -> T
     return needed.view(candidates, arenas)
 
 
-def as_weights(points: np.ndarray) -> Tensor:
-    """The weights [candidates, 22] at points of the search."""
-    weights = weight_tensor(START) + weight_tensor(SCALES) * torch.from_numpy(points).float()
+def as_weights(start: Tensor, points: np.ndarray) -> Tensor:
+    """The weights [candidates, 22] at points of a search that starts from weights [22]."""
+    weights = start + weight_tensor(SCALES) * torch.from_numpy(points).float()
     lowest = [LOWEST.get(field.name, -torch.inf) for field in fields(GoalWeights)]
     return weights.maximum(torch.tensor(lowest))
+
+
+def read_start(path: Path | None) -> Tensor:
+    """The weights [22] of an earlier search; None: ``START``."""
+    given = START if path is None else GoalWeights(**json.loads(path.read_text())["weights"])
+    return weight_tensor(given)
 
 
 def main(arguments: Arguments) -> None:
@@ -169,28 +188,32 @@ def main(arguments: Arguments) -> None:
         population_size=arguments.population,
         seed=arguments.seed,
     )
-    base = [
-        float(play(weight_tensor(START)[None], suite, n, 0, 8 * k).double().mean())
-        for suite, n, k in TASKS
-    ]
+    start = read_start(arguments.start)
+    usual = [play(start[None], suite, n, 0, 4 * k).double().mean() for suite, n, k in TASKS]
+    most = [round(PATIENCE * float(steps)) for steps in usual]
     means, history, begun = [], [], time.perf_counter()
-    for generation in range(1, arguments.generations + 1):
+    for generation in range(arguments.generations):
         points = [search.ask() for _ in range(arguments.population)]
-        weights = as_weights(np.stack(points))
+        weights = torch.cat((as_weights(start, np.stack(points)), start[None]))
         loss = np.zeros(arguments.population)
-        for (suite, robots, arenas), usual in zip(TASKS, base, strict=True):
-            steps = play(weights, suite, robots, generation * 1000, arenas)
-            loss += steps.double().mean(-1).numpy() / usual / len(TASKS)
+        for (suite, robots, arenas), steps in zip(TASKS, most, strict=True):
+            first = arguments.first + 1000 * generation
+            needed = play(weights, suite, robots, first, arenas, steps).double().mean(-1)
+            loss += (needed[:-1] / needed[-1]).numpy() / len(TASKS)
         search.tell([*zip(points, loss.tolist(), strict=True)])
         means.append(search.mean.copy())
         history.append({"best": loss.min(), "mean": loss.mean(), "spread": float(np.std(points))})
-        found = as_weights(np.mean(means[-arguments.average :], 0)[None])
+        found = as_weights(start, np.mean(means[-arguments.average :], 0)[None])
         names = [field.name for field in fields(GoalWeights)]
         result = {n: round(value, 4) for n, value in zip(names, found[0].tolist(), strict=True)}
-        record = {"weights": result, "tasks": TASKS, "usual_steps": base, "generations": history}
-        arguments.out.write_text(json.dumps(record, indent=1))
+        steps_at_start = [float(steps) for steps in usual]
+        record = {"weights": result, "tasks": TASKS, "usual_steps": steps_at_start}
+        arguments.out.write_text(json.dumps(record | {"generations": history}, indent=1))
         seconds = time.perf_counter() - begun
-        print(f"{generation:3} {seconds:6.0f} s  best {loss.min():.3f}  mean {loss.mean():.3f}")
+        print(
+            f"{generation + 1:3} {seconds:6.0f} s  best {loss.min():.3f}  mean {loss.mean():.3f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -50,7 +50,8 @@ class GoalGraph(nn.Module):
         each = torch.where(valid, encoder.code(torch.cat(first, -2)), 0)
         pooled = torch.cat((each.sum(-2) / valid.sum(-2), each.amax(-2)), -1)
         score = actor.score(_with_context(each, pooled)).squeeze(-1)
-        logits = actor.refine(score, scaled).masked_fill(~scaled.valid, -torch.inf)
+        logits = actor.refine(score, scaled, found.context)
+        logits = logits.masked_fill(~scaled.valid, -torch.inf)
         return logits.argmax(-1), logits
 
 

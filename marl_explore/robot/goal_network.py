@@ -34,8 +34,8 @@ class GoalNetwork:
 
     Args:
         weights: of a ``GoalActor`` by name, float32.
-        options: ``code_width``, ``pair_width``, ``refinement``, ``communicate_every`` and
-            ``communicate_after`` of ``policies.networks.Goals``.
+        options: ``code_width``, ``pair_width``, ``refinement``, ``home_cells``,
+            ``communicate_every`` and ``communicate_after`` of ``policies.networks.Goals``.
 
     Raises:
         ValueError: when an option is not a number in its range, or a weight is missing, has
@@ -44,7 +44,7 @@ class GoalNetwork:
     """
 
     def __init__(self, weights: Weights, options: dict[str, Any]) -> None:
-        for name in ("code_width", "pair_width", "communicate_every"):
+        for name in ("code_width", "pair_width", "communicate_every", "home_cells"):
             require_integer(name, options[name], 1)
         require_integer("communicate_after", options["communicate_after"], 0)
         check_type("refinement", options["refinement"], float)
@@ -68,16 +68,16 @@ class GoalNetwork:
         self._score = weights["score.0.weight"][:, :width]
         self._pooled = _Layer.split(weights, "score.0", np.s_[width:])
         self._last = weights["score.2.weight"][0]  # its bias does not change what is left of it
-        self._refinement = float(options["refinement"])
+        self._refinement, self._home_cells = float(options["refinement"]), options["home_cells"]
         self._prior = weights["prior"]
 
     def __call__(self, found: Candidates) -> tuple[list[int], Array]:
         """The numbers of the choices that there are, and their logits float32."""
         features = self.features(found)
-        return features.choices, self.logits(features)
+        return features.choices, self.logits(features, found.context.cells)
 
-    def logits(self, features: GoalFeatures) -> Array:
-        """Logits of the choices, float32."""
+    def logits(self, features: GoalFeatures, cells: int) -> Array:
+        """Logits of the choices in an arena of so many cells, float32."""
         kinds = (self._places(features), features.mate, features.still)
         weights = (self._frontier, self._mate, self._still)
         first = np.empty((len(self._score), len(features.choices)), np.float32)
@@ -97,7 +97,7 @@ class GoalNetwork:
         score -= score[features.prior.argmax()]
         score /= self._refinement
         np.tanh(score, out=score)
-        score *= self._refinement
+        score *= np.float32(self._refinement * min(1.0, self._home_cells / cells))
         score += self._prior * features.prior
         return score
 

@@ -162,6 +162,20 @@ def test_shares_are_those_of_each_robots_own_sensor():
     assert last.tolist() == [0, 1]
 
 
+def test_in_larger_arenas_than_those_of_training_the_network_says_less():
+    rows = rows_of(episode())
+    near = a_policy(prior=0.0, home_cells=90)  # the arena's
+    far = a_policy(prior=0.0, home_cells=30)
+    near.actors[0].prior.data.zero_(), far.actors[0].prior.data.zero_()
+    at_home, away = (policy.actors[0](*rows) for policy in (near, far))
+    choices = at_home > FORBIDDEN_LOGIT / 2
+    assert at_home[choices].abs().max() > 1
+    assert_close(away[choices], at_home[choices] / 3)
+    larger = a_policy(prior=0.0, home_cells=91)
+    larger.actors[0].prior.data.zero_()
+    assert_close(larger.actors[0](*rows), at_home)
+
+
 def test_impossible_choices_have_the_forbidden_logit():
     logits = a_policy().actors[0](*rows_of(episode()))
     assert (logits == FORBIDDEN_LOGIT).any()

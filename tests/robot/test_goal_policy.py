@@ -181,6 +181,7 @@ OPTIONS = {
     "refinement": 4.0,
     "communicate_every": 3,
     "communicate_after": 4,
+    "home_cells": 144,
 }
 
 

@@ -41,6 +41,9 @@ class Goals(Network):
     refinement: float = 4.0
     """How far the network can move a logit relative to that of the best choice by the utility: in
     arenas unlike those of training it cannot overrule clear cases."""
+    home_cells: int = 144
+    """Cells of the largest arenas of training; in an arena of C cells more the network moves logits
+    by only ``home_cells`` / C of that, and the utility decides."""
     communicate_every: int = 3
     """Robots may communicate every so many steps of a shared clock, besides when it is overdue."""
     communicate_after: int = 4
@@ -57,7 +60,7 @@ class Goals(Network):
     def __post_init__(self) -> None:
         """Check the options."""
         check_types(self)
-        for option in ("code_width", "pair_width", "communicate_every"):
+        for option in ("code_width", "pair_width", "communicate_every", "home_cells"):
             require_integer(option, getattr(self, option), 1)
         require_integer("communicate_after", self.communicate_after, 0)
         require_positive("refinement", self.refinement)
@@ -65,7 +68,14 @@ class Goals(Network):
     @property
     def layout(self) -> Goals:
         """The network without the options that do not affect weights' shapes."""
-        return replace(self, communicate_every=1, communicate_after=0, prior=0.0, refinement=1.0)
+        return replace(
+            self,
+            communicate_every=1,
+            communicate_after=0,
+            prior=0.0,
+            refinement=1.0,
+            home_cells=1,
+        )
 
     def make_actor(self, arena: ArenaConfig) -> GoalActor:
         """As ``Network.make_actor``."""
@@ -175,7 +185,7 @@ class GoalActor(nn.Module):
         score = nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, 1))
         self.score = initialize(score, ACTOR_GAIN)
         self.prior = nn.Parameter(torch.tensor(options.prior))
-        self.refinement = options.refinement
+        self.refinement, self.home_cells = options.refinement, options.home_cells
 
     def forward(self, *candidates: Tensor) -> Tensor:
         """Logits [*B, 24 + N + 2] of candidates [*B, ...]."""
@@ -186,15 +196,24 @@ class GoalActor(nn.Module):
         score = torch.zeros_like(scaled.prior).index_put(
             (codes.row, codes.choice), self.score(read).squeeze(-1).to(scaled.prior.dtype)
         )
-        logits = self.refine(score, scaled).masked_fill(~scaled.valid, FORBIDDEN_LOGIT)
+        logits = self.refine(score, scaled, rows.context)
+        logits = logits.masked_fill(~scaled.valid, FORBIDDEN_LOGIT)
         return logits.view(*batch, -1)
 
-    def refine(self, score: Tensor, scaled: GoalFeatures) -> Tensor:
-        """Logits from the network's scores and the prior, [R, 24 + N + 2]; any of no choices."""
+    def refine(self, score: Tensor, scaled: GoalFeatures, context: Tensor) -> Tensor:
+        """Logits from the network's scores and the prior, [R, 24 + N + 2]; any of no choices.
+
+        Args:
+            score: the network's scores [R, 24 + N + 2].
+            scaled: the features of R robots.
+            context: ``Candidates.context`` of them.
+        """
+        cells = context[:, CONTEXT_COLUMNS.index("cells"), None].to(score)
+        at_home = (self.home_cells / cells.clamp_min(1)).clamp_max(1)
         allowed = scaled.prior.masked_fill(~scaled.valid, -torch.inf)
         apart = score - score.gather(-1, allowed.argmax(-1, keepdim=True))
         refined = self.refinement * (apart / self.refinement).tanh()
-        return refined + self.prior * scaled.prior
+        return at_home * refined + self.prior * scaled.prior
 
 
 class GoalCritic(nn.Module):
