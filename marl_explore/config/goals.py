@@ -111,3 +111,30 @@ class GoalWeights:
     """Steps since the last exchange after which robots communicate."""
     start: float = 1.915
     """First time of exchanges, in sqrt(cells / robots) steps, at most 14 steps."""
+
+
+PRIOR = GoalWeights(
+    moves=0.125,
+    log_moves=-0.129,
+    near_gain=1.89,
+    middle_gain=-0.902,
+    far_gain=-1.058,
+    merged_cells=0.508,
+    pocket=0.603,
+    isolation=0.435,
+    last_goal=0.101,
+    ahead=-0.068,
+    move_gain=0.65,
+    linked_rival=2.705,
+    rival_scale=2.459,
+    knowing_rival=1.758,
+    unknowing_rival=0.836,
+    arrived_rival=0.355,
+    memory=92.282,
+    mate_moves=0.01,
+    mate_age=-0.89,
+    mate_unshared=-0.127,
+    timer=6.93,
+    start=1.935,
+)
+"""Those of a longer search, with which actors that choose among goals begin (docs/planners.md)."""

@@ -14,6 +14,7 @@ from marl_explore.config.constants import (
     MATE_COLUMNS,
     MAX_FRONTIERS,
 )
+from marl_explore.config.goals import PRIOR
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.planners import GoalUtility
@@ -125,7 +126,7 @@ def test_an_untrained_actor_acts_as_the_planner():
     When it communicates, the planner also chooses a place, so their last goals differ at times.
     """
     actor = ArgmaxPolicy(a_policy(trained=False, prior=100.0, communicate_every=1000))
-    planner = GoalUtility(ARENA.sight)
+    planner = GoalUtility(ARENA.sight, PRIOR)
     alike = number = exchanges = 0
     env = ExplorationEnv(ARENA, num_envs=16)
     now = env.reset()

@@ -23,10 +23,10 @@ from marl_explore.config.goals import (
     MOST_UTILITY,
     NEAR_MOVES,
     PLACE,
+    PRIOR,
     SMALL_POCKET,
     STILL_SIZE,
     TEAM,
-    GoalWeights,
 )
 from marl_explore.planners.goal_utility import (
     NOT_CHOSEN,
@@ -90,7 +90,7 @@ class FeatureScaling(nn.Module):
         super().__init__()
         self.every, self.after = every, after
         # saved with the policy: its prior does not follow later changes of the planner
-        self.register_buffer("weights", weight_tensor(GoalWeights()).to(torch.get_default_dtype()))
+        self.register_buffer("weights", weight_tensor(PRIOR).to(torch.get_default_dtype()))
         for name, numbers in _BUFFERS.items():
             self.register_buffer(name, torch.tensor(numbers), persistent=False)
 
