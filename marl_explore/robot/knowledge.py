@@ -125,8 +125,7 @@ class Knowledge:
                 self.refused[robot] += 1
                 continue
             changed += self._become(self.evidence.joined(corrected))
-            self.unshared[robot] = self.steps_since_merge[robot] = 0
-            self.unshared[self._others] += wrong
+            self.unshared[robot], self.steps_since_merge[robot] = wrong, 0
             self._stood[robot].clear()
         return changed
 

@@ -89,7 +89,7 @@ def test_an_obstacle_where_the_robot_itself_has_been_is_free():
     others = seen_at(taken, end - 2, end - 1, end)
     assert alone.merge({1: others}, end + 1) == 0
     assert np.array_equal(alone.map, codes)
-    assert alone.unshared.tolist() == [0, 2, 2]
+    assert alone.unshared.tolist() == [0, 2, 0]
     # and they believe it, in either order
     for first, second in ((others, alone.evidence), (alone.evidence, others)):
         assert np.array_equal(first.joined(second).map, codes)

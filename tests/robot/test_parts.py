@@ -133,7 +133,7 @@ def test_bookkeeping_follows_the_rules():
     other = map_cells("#..\n...\n...").numpy()
     assert knowledge.merge({2: Evidence.none(3, 3).looked(other, 0, MODEL, (2, 2))}, tick=1) == 5
     assert np.array_equal(knowledge.map, map_cells("...\n#..\n...").numpy())
-    assert knowledge.unshared.tolist() == [0, 4, 0]
+    assert knowledge.unshared.tolist() == [0, 4, 1]  # it has been where robot 2 saw an obstacle
     assert knowledge.sense((1, 1), map_cells("...\n#..\n...").numpy(), tick=1) == 0
     assert knowledge.steps_since_merge.tolist() == [0, 1_000_000, 1]
     knowledge.pass_time()
