@@ -205,8 +205,9 @@ class Mission:
             self._is_home = True
             return None
         cell = view.nearest_reached(self.start)
-        self._no_way_since = None if cell else self._no_way_since or self._time
-        if cell is None and self._no_way_lasted() < self.settings.no_progress:
+        if cell is not None or self._no_way_since is None:
+            self._no_way_since = self._time
+        if cell is None and self._time - self._no_way_since < self.settings.no_progress:
             # perhaps a teammate is in it
             self.state = "returning"
             self.sentence += "; waiting for a way to the start"
@@ -218,6 +219,3 @@ class Mission:
         if self.attempt is not None:
             return None
         return self._send(self.start, None, True, view.path(cell), view)
-
-    def _no_way_lasted(self) -> float:
-        return 0.0 if self._no_way_since is None else self._time - self._no_way_since
