@@ -22,6 +22,7 @@ class Rival(NamedTuple):
     """A teammate that is heard."""
 
     name: str
+    place: Place
     lengths: Lengths
     """Of ways from where it is."""
     goal: Place | None

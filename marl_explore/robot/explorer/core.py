@@ -185,14 +185,14 @@ class ExplorerCore:
         view, mission = self.view, self.mission
         if view is None or mission is None:
             return Output(goal, Status(state, sentence, team=team), [], [], [])
-        counts = mission.skips.count(view.grid, view.border)
+        counts = mission.skips.count(view.grid, view.reach.border)
         status = Status(
             state,
             sentence,
             known=float((view.grid.codes != UNKNOWN).sum()) * view.grid.side**2,
-            frontiers=len(view.frontiers),
-            small=view.small,
-            unreachable=view.unreachable,
+            frontiers=len(view.reach.frontiers),
+            small=view.reach.small,
+            unreachable=view.reach.unreachable,
             reached=mission.reached,
             skipped=counts.skipped,
             given_up=counts.given_up,
@@ -202,7 +202,7 @@ class ExplorerCore:
         return Output(
             goal,
             status,
-            [[view.grid.middle(cell) for cell in cluster] for cluster in view.frontiers],
+            [[view.grid.middle(cell) for cell in cluster] for cluster in view.reach.frontiers],
             mission.skips.points(),
             mission.plan if mission.attempt is not None else [],
         )

@@ -168,6 +168,15 @@ class CoarseGrid(NamedTuple):
         inside = 0 <= cell[0] < height and 0 <= cell[1] < width
         return int(self.codes[cell]) if inside else UNKNOWN
 
+    def mask(self, cells: Iterable[GridCell]) -> Mask:
+        """Some cells of the lattice as a mask, bool [H, W]; those outside are left out."""
+        mask, (height, width) = np.zeros(self.codes.shape, bool), self.codes.shape
+        rows, columns = np.array(list(cells), int).reshape(-1, 2).T
+        rows, columns = rows - self.first[0], columns - self.first[1]
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        mask[rows[inside], columns[inside]] = True
+        return mask
+
     def is_in(self, point: Point | Place, cells: Mask) -> bool:
         """Whether a point lies in some of the cells, bool [H, W]."""
         row, column = self.cell(point)
@@ -202,9 +211,11 @@ class CoarseMap:
         side = SIDE * radius
         self.fine = fine = given.refined(radius)
         occupied = fine.percent >= OCCUPIED_FROM
+        erased = np.zeros_like(occupied)
         for body in bodies:
             window, distance = fine.around(body, body_radius)
-            occupied[window] &= distance >= body_radius
+            erased[window] |= occupied[window] & (distance < body_radius)
+        occupied &= ~erased
         unknown, fits = fine.percent < 0, ~nearer(occupied, radius / fine.resolution)
         self._fits = fits & ~unknown & ~occupied
         rows, columns = self._lattice_cells(side)
@@ -217,6 +228,11 @@ class CoarseMap:
         flat[self._cell[unknown & fits]] = UNKNOWN
         flat[self._cell[self._fits]] = FREE
         self.grid = CoarseGrid(codes, (top, left), side)
+        beside = nearer(erased, radius / fine.resolution) if erased.any() else erased
+        alone = np.zeros(shape, bool)
+        alone.ravel()[self._cell[self._fits & ~beside]] = True
+        self.clear = alone
+        """Cells that are free although robots are obstacles in the map, bool [H, W]."""
 
     def _lattice_cells(self, side: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rows and columns of all fine cells in the lattice [H, W]."""

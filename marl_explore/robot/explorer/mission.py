@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from marl_explore.robot.explorer.choice import price
+from marl_explore.robot.explorer.choice import Rival, price
 from marl_explore.robot.explorer.frontiers import Candidate, candidates, long_clusters
 from marl_explore.robot.explorer.places import Place, Point
-from marl_explore.robot.explorer.progress import Attempt
+from marl_explore.robot.explorer.progress import Attempt, Verdict
 from marl_explore.robot.explorer.settings import ExplorerSettings
 from marl_explore.robot.explorer.skips import TRIES, Counts, SkipList
 from marl_explore.robot.explorer.status import State
@@ -19,6 +19,12 @@ MOVED = 0.3
 """A robot that has come so far from its start can move (metres)."""
 
 
+CROWDED = 1.0
+"""A teammate so near to a robot that does not come to its goal may be in the way (metres)."""
+ASIDE = 2.0
+"""Longest way to a place where a robot is out of the way (metres)."""
+MOST_BLOCKED = 4
+"""Times in a row that a goal is not reached beside a teammate before it counts as a try."""
 MOST_CHOICES = 6
 """Times that a frontier is chosen; one that comes and goes in a map that flickers is left alone."""
 
@@ -45,9 +51,9 @@ class Mission:
         self.sentence = ""
         self._chosen: list[Point] = []
         self._visited: Point | None = None
-        self._next_map, self._waits_until = 0, -math.inf
+        self._next_map, self._waits_until = 0.0, -math.inf
+        self._blocked, self._steps_aside = 0, False
         self._empty_since: float | None = None
-        self._no_way_since: float | None = None
         self._is_home = self._can_move = self._failed = False
         self._returns = 0
         self._place, self._time = start, 0.0
@@ -67,17 +73,49 @@ class Mission:
         if verdict == "going":
             return self.attempt.goal if self.attempt.send_again(time) else None
         attempt, self.attempt = self.attempt, None
+        if self._steps_aside:
+            self._steps_aside = False
+            self._next_map, self._waits_until = math.inf, time + self.settings.refusal
+            return None
+        if verdict != "arrived":
+            return self._fail(attempt, verdict, view, place, time)
+        self._blocked = 0
         if attempt.faces is None:
-            self._is_home, self._returns = verdict == "arrived", self._returns + 1
-        elif verdict != "arrived":
-            self._failed = True
-            self.skips.add(attempt.faces, self.settings.goal_radius, verdict, view.grid)
+            self._is_home, self._returns = attempt.final, self._returns + attempt.final
         elif attempt.final:
             self.reached += 1
             self._visited = attempt.faces
             self._next_map, self._waits_until = maps + 1, time + self.settings.map_patience
             self.sentence = "at a frontier, waiting for the next map"
         return None
+
+    def _fail(
+        self, attempt: Attempt, verdict: Verdict, view: View, place: Place, time: float
+    ) -> Place | None:
+        """Note that a goal was not reached; the place to step aside to, if a teammate is near."""
+        self._failed = True
+        near = [rival for rival in view.rivals if rival.place.distance(place) <= CROWDED]
+        if near and self._blocked < MOST_BLOCKED:
+            self._blocked += 1
+            is_first = all(self.name < rival.name for rival in near)
+            return (
+                self._step_aside(near, view, place, time) if is_first != self._blocked % 2 else None
+            )
+        if attempt.faces is None:
+            self._returns += 1
+        else:
+            self.skips.add(attempt.faces, self.settings.goal_radius, verdict, view.grid)
+        return None
+
+    def _step_aside(self, near: list[Rival], view: View, place: Place, time: float) -> Place | None:
+        """Go away from teammates that want to pass, and wait there."""
+        cell = view.farthest(near, ASIDE)
+        if cell is None:
+            return None
+        self._place, self._time, self._steps_aside = place, time, True
+        names = ", ".join(rival.name for rival in near)
+        self.sentence = f"standing aside for {names}"
+        return self._send(Place(*view.spot(cell), place.yaw), None, False, view.path(cell), view)
 
     def is_waiting(self, maps: int, time: float) -> bool:
         """Whether to wait for the first map after an arrival before anything is decided."""
@@ -90,7 +128,12 @@ class Mission:
         self._place, self._time = place, time
         self.skips.renew(view.grid)
         self._leave_visited(view)
+        if self._steps_aside:
+            return None
         options = self._options(view, 1) or self._options(view, TRIES)
+        if not options:
+            view = view.reopened
+            options = self._options(view, 1) or self._options(view, TRIES)
         if not options:
             return self._finish(view)
         self._empty_since, self._is_home, self._returns = None, False, 0
@@ -98,11 +141,11 @@ class Mission:
 
     def _options(self, view: View, tries: int) -> list[Candidate]:
         """Goals that were tried less often than that; 0: all."""
-        settings, found = self.settings, view.frontiers
+        settings, found = self.settings, view.reach.frontiers
         if tries:
-            cells = view.border & ~self.skips.covered(view.grid, tries)
+            cells = view.reach.border & ~self.skips.covered(view.grid, tries)
             found = tuple(long_clusters(cells, view.grid.side, settings.min_frontier)[0])
-        return candidates(view.grid, view.lengths, found, settings.goal_radius, settings.view)
+        return candidates(view.grid, view.reach.lengths, found, settings.goal_radius, settings.view)
 
     def _leave_visited(self, view: View) -> None:
         """Skip frontiers that have stayed although the robot has been there."""
@@ -113,7 +156,7 @@ class Mission:
             for option in self._options(view, 0)
             if option.way <= self.settings.arrival
         ]
-        if view.grid.is_in(self._visited, view.border):
+        if view.grid.is_in(self._visited, view.reach.border):
             points.append(self._visited)
         self.skips.add_in_vain(points, self.settings.arrival, view.grid)
         self._visited = None
@@ -135,14 +178,10 @@ class Mission:
         Nav2 refuses goals outside its map, which is the own one.
         """
         cells = view.path(best.cell)
-        known = next((i for i, c in enumerate(cells) if not view.is_own(c)), len(cells))
-        last = cells[max(known - 1, 0)]
-        is_near = self._place.distance(view.grid.middle(last)) <= 1.5 * self.settings.arrival
-        final = is_near or last == best.cell
-        faces = view.grid.middle(best.faces)
-        x, y = view.spot(best.cell if final else last)
-        ahead = faces if final else view.grid.middle(cells[known])
-        goal = Place(x, y, math.atan2(ahead[1] - y, ahead[0] - x))
+        stage = self._stage(cells, view)
+        final, faces = stage is None, view.grid.middle(best.faces)
+        x, y = view.spot(best.cell)
+        goal = stage or Place(x, y, math.atan2(faces[1] - y, faces[0] - x))
         if self._failed and not self._can_move:
             self.state, self.sentence = "stuck", f"the robot has not moved yet: {ASK_NAV2}"
         else:
@@ -156,6 +195,17 @@ class Mission:
             self.attempt = None
             return None
         return self._send(goal, faces, final, cells, view)
+
+    def _stage(self, cells: list[GridCell], view: View) -> Place | None:
+        """The last place on a way that Nav2 can plan to; None: the end, or it is not worth it."""
+        known = next((i for i, c in enumerate(cells) if not view.is_own(c)), len(cells))
+        last = cells[max(known - 1, 0)]
+        near = self._place.distance(view.grid.middle(last)) <= 1.5 * self.settings.arrival
+        if near or last == cells[-1]:
+            return None
+        x, y = view.spot(last)
+        ahead = view.grid.middle(cells[known])
+        return Place(x, y, math.atan2(ahead[1] - y, ahead[0] - x))
 
     def _is_chosen_too_often(self, faces: Point) -> bool:
         self._chosen.append(faces)
@@ -176,7 +226,7 @@ class Mission:
         """Wait for a while, return to the start, and say what is left."""
         if self.attempt is not None and self.attempt.faces is not None:
             self.attempt = None
-        left = self.skips.count(view.grid, view.border)
+        left = self.skips.count(view.grid, view.reach.border)
         if left.given_up and not self._can_move:  # the goals may be fine: begin anew
             self.skips.entries.clear()
             return None
@@ -205,17 +255,12 @@ class Mission:
             self._is_home = True
             return None
         cell = view.nearest_reached(self.start)
-        if cell is not None or self._no_way_since is None:
-            self._no_way_since = self._time
-        if cell is None and self._time - self._no_way_since < self.settings.no_progress:
-            # perhaps a teammate is in it
-            self.state = "returning"
-            self.sentence += "; waiting for a way to the start"
-            return None
         if cell is None or self._returns >= TRIES:
             self.sentence += "; the robot cannot return to its start"
             return None
         self.state, self.sentence = "returning", f"{self.sentence}; returning to the start"
         if self.attempt is not None:
             return None
-        return self._send(self.start, None, True, view.path(cell), view)
+        cells = view.path(cell)
+        stage = self._stage(cells, view)
+        return self._send(stage or self.start, None, stage is None, cells, view)

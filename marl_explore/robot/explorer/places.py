@@ -61,23 +61,39 @@ def require_place(name: str, place: Place) -> None:
     place.check()
 
 
+LONGEST_STEP = 1.0
+"""Poses farther apart are not joined by a line (metres): the robot may have been put elsewhere."""
+
+
 class Trail:
-    """Where a robot has been in the last seconds.
+    """Where a robot has been: points of the last seconds, and cells of the whole time.
 
     Args:
-        spacing: distance between points (metres).
+        spacing: distance between points, and side of the cells (metres).
         kept: how long a point is kept (seconds).
     """
 
     def __init__(self, spacing: float, kept: float) -> None:
         self.spacing, self.kept = spacing, kept
+        self.cells: set[tuple[int, int]] = set()
+        """(row, column) of squares of the plane; (0, 0) begins at the origin."""
         self._points: deque[tuple[float, Place]] = deque()
+        self._last: Place | None = None
 
     def add(self, place: Place, time: float) -> None:
         """Note where the robot is at a time (seconds)."""
         if not self._points or place.distance(self._points[-1][1]) >= self.spacing:
             self._points.append((time, place))
         self._points[-1] = (time, self._points[-1][1])
+        before = self._last or place
+        steps = math.ceil(place.distance(before) / (self.spacing / 2)) + 1
+        if place.distance(before) > LONGEST_STEP:
+            before, steps = place, 1
+        for share in (step / steps for step in range(1, steps + 1)):
+            x = before.x + share * (place.x - before.x)
+            y = before.y + share * (place.y - before.y)
+            self.cells.add((math.floor(y / self.spacing), math.floor(x / self.spacing)))
+        self._last = place
 
     def points(self, time: float) -> list[Point]:
         """The points that are not too old at a time (seconds)."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -31,13 +33,9 @@ STANDING = 3.0
 """A robot is at the nearest place into which it fits, at most so many radii away."""
 
 
-class View(NamedTuple):
-    """All maps at one moment."""
+class Reach(NamedTuple):
+    """What a robot reaches over free cells, and what is unknown beside it."""
 
-    grid: CoarseGrid
-    """Their union; the own map counts where they contradict."""
-    layers: tuple[CoarseMap, ...]
-    """The own map, then the teammates' whose maps fit, the last heard first."""
     lengths: Lengths
     """Of ways from the robot."""
     frontiers: tuple[Cluster, ...]
@@ -48,8 +46,47 @@ class View(NamedTuple):
     """Clusters that are too short."""
     unreachable: int
     """Clusters that are long enough, but beside cells that it does not reach."""
+
+    @staticmethod
+    def over(grid: CoarseGrid, start: GridCell, least: float) -> Reach:
+        """Find ways and frontiers.
+
+        Args:
+            grid: with a border of unknown cells.
+            start: where the robot is.
+            least: shortest cluster that is a frontier (metres).
+        """
+        free = grid.codes == FREE
+        lengths = ways(free, start)
+        reached = border(grid.codes, lengths != NO_WAY)
+        frontiers, small = long_clusters(reached, grid.side, least)
+        beyond = border(grid.codes, free & (lengths == NO_WAY)) & ~reached
+        return Reach(
+            lengths=lengths,
+            frontiers=tuple(frontiers),
+            border=cells_of(frontiers, free.shape),
+            small=small,
+            unreachable=len(long_clusters(beyond, grid.side, least)[0]),
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """All maps at one moment."""
+
+    grid: CoarseGrid
+    """Their union; the own map counts where they contradict."""
+    layers: tuple[CoarseMap, ...]
+    """The own map, then the teammates' whose maps fit, the last heard first."""
+    reach: Reach
     near: float
     """How far from a place the cell may be in which something stands (metres)."""
+    start: GridCell
+    """Where the robot is."""
+    visited: Mask
+    """Cells in which a robot of the team has been."""
+    least: float
+    """Shortest cluster of a frontier (metres)."""
     rivals: tuple[Rival, ...]
     """Teammates that are heard."""
 
@@ -60,11 +97,11 @@ class View(NamedTuple):
 
     def length(self, cell: GridCell) -> float:
         """Length of the way to a reached cell (metres)."""
-        return float(self.lengths[cell]) * self.grid.side / 2
+        return float(self.reach.lengths[cell]) * self.grid.side / 2
 
     def nearest_reached(self, point: Point | Place) -> GridCell | None:
         """The reached cell nearest to a point, if it is near."""
-        return _nearest(self.grid, self.lengths != NO_WAY, point, self.near)
+        return _nearest(self.grid, self.reach.lengths != NO_WAY, point, self.near)
 
     def is_linked(self, place: Place, point: Point | Place, most: float) -> bool:
         """Whether a way from one place to another is at most so long (metres)."""
@@ -73,9 +110,24 @@ class View(NamedTuple):
             return False
         return bool(ways(self.free, start, round(2 * most / self.grid.side))[end] != NO_WAY)
 
+    def farthest(self, rivals: Sequence[Rival], most: float) -> GridCell | None:
+        """Of the cells that Nav2 reaches within a way (metres), the farthest from teammates."""
+        lengths, steps = self.reach.lengths, round(2 * most / self.grid.side)
+        near = zip(*((lengths != NO_WAY) & (lengths <= steps)).nonzero(), strict=True)
+        cells = [cell for cell in near if self.is_own(cell)]
+        away = [
+            min(
+                float(rival.lengths[cell]) if rival.lengths[cell] != NO_WAY else math.inf
+                for rival in rivals
+            )
+            for cell in cells
+        ]
+        best = max(zip(away, (-lengths[cell] for cell in cells), cells, strict=True), default=None)
+        return best and best[2]
+
     def path(self, cell: GridCell) -> list[GridCell]:
         """The cells of the way to a reached cell."""
-        return path(self.lengths, cell)
+        return path(self.reach.lengths, cell)
 
     def spot(self, cell: GridCell) -> Point:
         """Where in a free cell the robot fits best."""
@@ -86,9 +138,22 @@ class View(NamedTuple):
         return self.grid.middle(cell)
 
     def is_own(self, cell: GridCell) -> bool:
-        """Whether a cell is free in the own map."""
-        own = self.layers[0].grid
-        return own.code(self._cell_of(own, cell)) == FREE
+        """Whether a cell is free in the own map as Nav2 has it, with robots as obstacles."""
+        own = self.layers[0]
+        row, column = self._cell_of(own.grid, cell)
+        height, width = own.clear.shape
+        return 0 <= row < height and 0 <= column < width and bool(own.clear[row, column])
+
+    @cached_property
+    def reopened(self) -> View:
+        """The same with a way wherever a robot of the team has been.
+
+        What is in the way there may be a robot that has left, and that the own map has not seen
+        leave; or it has been put there since, which only a look can tell.
+        """
+        codes = np.where(self.visited, FREE, self.grid.codes).astype(np.int8)
+        grid = self.grid._replace(codes=codes)
+        return replace(self, grid=grid, reach=Reach.over(grid, self.start, self.least))
 
     def _cell_of(self, other: CoarseGrid, cell: GridCell) -> GridCell:
         """A cell of the union in another part of the lattice."""
@@ -125,21 +190,16 @@ def look(
         if not mate.refused:
             layers.append(layer)
     grid = union(layer.grid for layer in layers)
-    free = grid.codes == FREE
-    lengths = ways(free, grid.cell(mine.grid.middle(start)))
-    reached = border(grid.codes, lengths != NO_WAY)
-    frontiers, small = long_clusters(reached, grid.side, settings.min_frontier)
-    beyond = border(grid.codes, free & (lengths == NO_WAY)) & ~reached
+    first = grid.cell(mine.grid.middle(start))
     return View(
         grid=grid,
         layers=tuple(layers),
-        lengths=lengths,
-        frontiers=tuple(frontiers),
-        border=cells_of(frontiers, free.shape),
-        small=small,
-        unreachable=len(long_clusters(beyond, grid.side, settings.min_frontier)[0]),
+        reach=Reach.over(grid, first, settings.min_frontier),
         near=STANDING * size,
-        rivals=tuple(_rivals(mates, grid, free, time, settings)),
+        start=first,
+        visited=grid.mask(team.visited()),
+        least=settings.min_frontier,
+        rivals=tuple(_rivals(mates, grid, grid.codes == FREE, time, settings)),
     )
 
 
@@ -153,7 +213,7 @@ def _rivals(
             continue
         cell = _nearest(grid, free, mate.place, STANDING * settings.radius)
         if cell is not None:
-            rivals.append(Rival(mate.name, ways(free, cell), mate.goal))
+            rivals.append(Rival(mate.name, mate.place, ways(free, cell), mate.goal))
     return rivals
 
 

@@ -31,6 +31,20 @@ TWO_ROOMS = """
 #.............#.............#..........#
 ########################################
 """
+NARROW = """
+####################################
+#...........#......................#
+#...........#......................#
+#...........#......................#
+#...1..............................#
+#...2..............................#
+#...........#......................#
+#...........########################
+#...........#
+#...........#
+#...........#
+#############
+"""
 DEAD_END = """
 ############################
 #..........#...............#
@@ -129,12 +143,48 @@ def test_a_way_back_that_is_blocked_for_a_while_is_waited_for():
     run.until(lambda: run.state("robot_1") == "returning", 300)
     assert run.rovers["robot_1"].at.x > 3.5  # behind the door
     run.world.close("a")
-    run.until(lambda: "waiting for a way" in status(run).sentence, 30)
-    run.run(5)
+    run.run(20)
+    assert run.state("robot_1") == "returning"
     run.world.open("a")
     run.until(lambda: is_done(run), 100)
     assert run.states["robot_1"] == ["exploring", "returning", "complete"]
     assert run.rovers["robot_1"].at.distance(run.world.starts["1"]) <= 0.5
+
+
+def test_what_a_map_still_has_of_a_robot_that_has_left_is_no_wall():
+    """The robot's own map shows an obstacle where it came in, and nobody is there any more."""
+    run = trial(DEAD_END)
+    run.world.open("a")
+    rover = run.rovers["robot_1"]
+    run.until(lambda: rover.at.x > 5, 300)
+    rows, columns = rover._cells(np.full(20, 2.9), np.linspace(0.3, 2.2, 20))
+    rover.score[rows, columns] = 6  # the door's cells
+    run.until(lambda: is_done(run), 300)
+    assert run.states["robot_1"] == ["exploring", "returning", "complete"]
+    assert rover.at.distance(run.world.starts["1"]) <= 0.5
+
+
+@pytest.mark.parametrize("seed", [0, 4, 14, 15])
+def test_two_robots_that_meet_in_a_narrow_gap_do_not_give_up(seed):
+    """A gap for one: whoever is second in the order of names stands aside first."""
+    random = np.random.default_rng(seed)
+    run = trial(NARROW, 2, frames=[Place(1.1, 1.6), Place(1.1, 2.6)], maps_every=2.0)
+    for core in run.cores.values():
+        advance, said = core.advance, []
+
+        def late(now, advance=advance, said=said):
+            if said and random.random() < 0.5:
+                return said[-1]._replace(goal=None)
+            said.append(advance(now))
+            return said[-1]
+
+        core.advance = late
+    run.until(lambda: all(is_done(run, name) for name in run.cores), 100)
+    for name, rover in run.rovers.items():
+        assert status(run, name).state == "complete"
+        assert status(run, name).given_up == 0
+        assert rover.at.distance(run.world.starts[name[-1]]) <= 0.6
+    assert explored(run) > 0.6
 
 
 def test_a_robot_that_is_shut_in_says_so():

@@ -128,7 +128,9 @@ def test_a_teammate_that_is_nearer_or_has_chosen_makes_a_goal_dearer():
     assert alone == pytest.approx(6.0 - 2.0 * 0.5)
 
     def with_mate(column, goal=None, name="a"):
-        return price(option, grid, [Rival(name, ways(free, (1, column)), goal)], "b", settings)
+        place = Place(*grid.middle((1, column)))
+        rival = Rival(name, place, ways(free, (1, column)), goal)
+        return price(option, grid, [rival], "b", settings)
 
     assert with_mate(55) > alone + 9  # nearer
     assert with_mate(0) < alone + 2  # further
@@ -137,7 +139,7 @@ def test_a_teammate_that_is_nearer_or_has_chosen_makes_a_goal_dearer():
     assert with_mate(0, at) == with_mate(0)  # further away, so the goal is this robot's
     assert with_mate(10, at) == pytest.approx(with_mate(10) + 10)  # as near, and a before b
     assert with_mate(10, at, "c") == pytest.approx(with_mate(10))
-    cut = [Rival("a", np.full((3, 60), NO_WAY, np.int32), at)]
+    cut = [Rival("a", at, np.full((3, 60), NO_WAY, np.int32), at)]
     assert price(option, grid, cut, "b", settings) == alone
 
 
@@ -244,6 +246,15 @@ def test_trails_are_forgotten():
     assert 0.85 <= max(places) <= 0.95
     assert 0.1 <= np.diff(places).min() <= np.diff(places).max() <= 0.15 + 1e-9
     assert trail.points(40.0) == []
+
+
+def test_trails_keep_their_cells_and_join_near_poses():
+    trail = Trail(0.1, 10.0)
+    trail.add(Place(0.05, 0.05), 0.0)
+    trail.add(Place(0.55, 0.05), 1.0)
+    trail.add(Place(5.05, -0.05), 2.0)  # put elsewhere
+    trail.points(100.0)
+    assert trail.cells == {*((0, column) for column in range(6)), (-1, 50)}
 
 
 # ---------------------------------------------------------------- what is refused
