@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from benchmarks import (
+    completion,
     curves,
     environment,
     explorers,
@@ -21,7 +22,9 @@ from benchmarks import (
 )
 from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.faults import lines, mutants
+from marl_explore import ArenaConfig, find_policy, record
 from marl_explore.core.frontier import feature_table
+from marl_explore.evaluation import metrics
 from marl_explore.policies.networks import MLP
 from marl_explore.robot.agreement import Way, agree
 from marl_explore.robot.messages import Intent
@@ -75,6 +78,19 @@ def test_the_benchmark_of_explorers_runs():
     assert 0 <= explored < 60
     assert driven >= 0
     assert all(time > 0 for time in times)
+
+
+def test_the_benchmark_of_completion_agrees_with_a_record():
+    count = completion.measure("nearest-timer,nearest-timer", "paper-12/3:4", seed=5)
+    config = ArenaConfig(num_agents=3)
+    recorded = record(find_policy("nearest-timer", config), config, 4, 300, seed=5)
+    known = recorded.maps.known_targets.amax(-1)
+    assert count.steps == [metrics.steps_to(known, recorded.num_targets, 1.0).tolist()] * 2
+    assert count.incomplete == 0
+    share = metrics.summarize(recorded)["communication_share_before_completion"]
+    assert count.communications / count.actions == pytest.approx(share)
+    line = completion.row("paper-12/3:4", "again", count, count)
+    assert line.endswith("+0.00 [+0.00, +0.00], +0.0 %")
 
 
 def test_the_benchmark_of_wider_worlds_runs():

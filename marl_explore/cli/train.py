@@ -58,6 +58,10 @@ class Start:
 Arguments = Start | Resume
 
 
+INSTEAD_OF_SCENES = ("--algorithm", "--num-agents", "--height", "--width")
+"""Besides another kind of arenas or network: flags that say what a preset's scenes would."""
+
+
 def parse(
     words: Sequence[str],
     prog: str = "marl-explore train",
@@ -67,7 +71,8 @@ def parse(
     """Parse a command line: a preset and changes to it, or a run to resume.
 
     A suite fixes size and density, which other flags then cannot change. With another network, the
-    flags of its options replace those of the preset's network. With ``--config FILE``, such as
+    flags of its options replace those of the preset's network. A preset's scenes are left out when
+    other arenas, another team, network or algorithm are asked for. With ``--config FILE``, such as
     another run's ``config.json``, a preset need not be named.
     """
     words, file = take_config(words)
@@ -77,8 +82,11 @@ def parse(
         arenas, network = arenas or file.get("arenas"), network or file.get("network")
 
     chosen = words[0] if words and not words[0].startswith("-") else None
+    presets = PRESETS
+    if arenas or network or any(flag_value(words, flag) for flag in INSTEAD_OF_SCENES):
+        presets = {name: replace(config, scenes=()) for name, config in PRESETS.items()}
     defaults = {
-        name: _start(config, arenas or "uniform", network, run) for name, config in PRESETS.items()
+        name: _start(config, arenas or "uniform", network, run) for name, config in presets.items()
     }
     if file and chosen is None:  # the file says it all
         start = file.fill(_start(TrainConfig(), arenas or "uniform", network, run))

@@ -97,8 +97,9 @@ class GoalNetwork:
         score -= score[features.prior.argmax()]
         score /= self._refinement
         np.tanh(score, out=score)
-        score *= np.float32(self._refinement * min(1.0, self._home_cells / cells))
-        score += self._prior * features.prior
+        score *= np.float32(self._refinement)
+        homes = np.float32(max(1.0, cells / self._home_cells))
+        score += homes * self._prior * features.prior
         return score
 
     def _places(self, features: GoalFeatures) -> Array:

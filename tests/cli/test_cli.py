@@ -49,8 +49,18 @@ def test_a_network_on_the_command_line_brings_its_options():
     assert train.parse(words).train.network == CNN(hidden=7, channels=(2, 3))
     kept = train.parse("best --communicate-every 6 --reward team".split()).train
     assert kept.network == replace(PRESETS["best"].network, communicate_every=6)
-    assert train.parse(["best", "--network", "mlp"]).train.critic_input == "state"
+    assert train.parse(["best", "--network", "deepset"]).train.critic_input == "state"
     assert train.parse(["paper-mlp-case1", "--network=deepset"]).train.critic_input == "state"
+
+
+@pytest.mark.parametrize(
+    "words", ["--network deepset", "--algorithm happo", "--arenas open-24", "--num-agents 5"]
+)
+def test_scenes_of_a_preset_make_way_for_what_is_asked_for(words):
+    assert train.parse(["best"]).train.scenes == PRESETS["best"].scenes
+    assert train.parse(["best", *words.split()]).train.scenes == ()
+    asked = train.parse(["best", "--arenas", "open-24", "--scenes", "uniform/2", "uniform/4"])
+    assert asked.train.scenes == ("uniform/2", "uniform/4")
 
 
 def test_the_ray_recipe_asks_for_two_workers_of_ray_unless_told():

@@ -163,18 +163,18 @@ def test_shares_are_those_of_each_robots_own_sensor():
     assert last.tolist() == [0, 1]
 
 
-def test_in_larger_arenas_than_those_of_training_the_network_says_less():
+def test_in_larger_arenas_than_those_of_training_the_utility_says_more():
     rows = rows_of(episode())
-    near = a_policy(prior=0.0, home_cells=90)  # the arena's
-    far = a_policy(prior=0.0, home_cells=30)
-    near.actors[0].prior.data.zero_(), far.actors[0].prior.data.zero_()
-    at_home, away = (policy.actors[0](*rows) for policy in (near, far))
-    choices = at_home > FORBIDDEN_LOGIT / 2
-    assert at_home[choices].abs().max() > 1
-    assert_close(away[choices], at_home[choices] / 3)
-    larger = a_policy(prior=0.0, home_cells=91)
-    larger.actors[0].prior.data.zero_()
-    assert_close(larger.actors[0](*rows), at_home)
+    logits = {}
+    for prior, home_cells in ((0.0, 30), (2.0, 30), (6.0, 90), (2.0, 90), (2.0, 91)):
+        policy = a_policy(prior=prior, home_cells=home_cells)  # the arena has 90 cells
+        policy.actors[0].prior.data.fill_(prior)
+        logits[prior, home_cells] = policy.actors[0](*rows)
+    assert_close(logits[2.0, 30], logits[6.0, 90])
+    assert_close(logits[2.0, 90], logits[2.0, 91])
+    choices = logits[0.0, 30] > FORBIDDEN_LOGIT / 2
+    assert logits[0.0, 30][choices].abs().max() > 1
+    assert not torch.allclose(logits[2.0, 30], logits[2.0, 90])
 
 
 def test_impossible_choices_have_the_forbidden_logit():

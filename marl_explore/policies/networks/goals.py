@@ -42,8 +42,8 @@ class Goals(Network):
     """How far the network can move a logit relative to that of the best choice by the utility: in
     arenas unlike those of training it cannot overrule clear cases."""
     home_cells: int = 144
-    """Cells of the largest arenas of training; in an arena of C cells more the network moves logits
-    by only ``home_cells`` / C of that, and the utility decides."""
+    """Cells of the largest arenas of training; in an arena of more cells, C, the utility counts
+    C / ``home_cells`` times: it decides, and samples are nearer to the best choice."""
     communicate_every: int = 3
     """Robots may communicate every so many steps of a shared clock, besides when it is overdue."""
     communicate_after: int = 4
@@ -209,11 +209,11 @@ class GoalActor(nn.Module):
             context: ``Candidates.context`` of them.
         """
         cells = context[:, CONTEXT_COLUMNS.index("cells"), None].to(score)
-        at_home = (self.home_cells / cells.clamp_min(1)).clamp_max(1)
+        homes = (cells / self.home_cells).clamp_min(1)
         allowed = scaled.prior.masked_fill(~scaled.valid, -torch.inf)
         apart = score - score.gather(-1, allowed.argmax(-1, keepdim=True))
         refined = self.refinement * (apart / self.refinement).tanh()
-        return at_home * refined + self.prior * scaled.prior
+        return refined + homes * self.prior * scaled.prior
 
 
 class GoalCritic(nn.Module):
