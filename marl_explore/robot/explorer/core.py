@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from marl_explore.config.checks import require, require_time
 from marl_explore.config.constants import UNKNOWN
-from marl_explore.robot.explorer.grids import OccupancyMap
+from marl_explore.robot.explorer.grids import SIDE, OccupancyMap
 from marl_explore.robot.explorer.mission import Mission
 from marl_explore.robot.explorer.places import LivedTime, Place, Point, Trail, require_place
 from marl_explore.robot.explorer.settings import ExplorerSettings
@@ -74,7 +74,7 @@ class ExplorerCore:
         self._looked_at, self._looked_from = -math.inf, Place(0.0, 0.0)
 
     def _trail(self) -> Trail:
-        return Trail(self.settings.radius / 2, self.settings.body_time)
+        return Trail(SIDE * self.settings.radius, self.settings.body_time)
 
     def take_map(self, given: OccupancyMap, mate: str | None = None) -> None:
         """Take the own map, or a teammate's in its own frame, instead of the one before.
@@ -182,10 +182,11 @@ class ExplorerCore:
 
     def _output(self, goal: Place | None, state: State, sentence: str) -> Output:
         team = tuple(m.describe(self._time, self.settings) for m in self.team.mates.values())
-        view, mission = self.view, self.mission
+        mission = self.mission
+        view = self.view if mission is None else mission.view or self.view
         if view is None or mission is None:
             return Output(goal, Status(state, sentence, team=team), [], [], [])
-        counts = mission.skips.count(view.grid, view.reach.border)
+        counts = mission.skips.count(view.union, view.reach.border)
         status = Status(
             state,
             sentence,

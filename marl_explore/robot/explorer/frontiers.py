@@ -84,6 +84,8 @@ def candidates(
         spread: metres.
         view: how far around a goal unknown cells are counted (metres).
     """
+    if not found:
+        return []
     gains = _shares(grid.codes == UNKNOWN, round(view / grid.side))
     chosen = []
     for cluster in found:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -228,11 +229,16 @@ class CoarseMap:
         flat[self._cell[unknown & fits]] = UNKNOWN
         flat[self._cell[self._fits]] = FREE
         self.grid = CoarseGrid(codes, (top, left), side)
-        beside = nearer(erased, radius / fine.resolution) if erased.any() else erased
-        alone = np.zeros(shape, bool)
-        alone.ravel()[self._cell[self._fits & ~beside]] = True
-        self.clear = alone
+        self._bodies, self._reach = erased, radius / fine.resolution
+
+    @cached_property
+    def clear(self) -> Mask:
         """Cells that are free although robots are obstacles in the map, bool [H, W]."""
+        fits, clear = self._fits, np.zeros(self.grid.codes.shape, bool)
+        if self._bodies.any():
+            fits = fits & ~nearer(self._bodies, self._reach)
+        clear.ravel()[self._cell[fits]] = True
+        return clear
 
     def _lattice_cells(self, side: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rows and columns of all fine cells in the lattice [H, W]."""
@@ -315,6 +321,13 @@ def part_of(grid: CoarseGrid, first: GridCell, shape: tuple[int, int]) -> NDArra
         inner = grid.codes[up - top : bottom - top, side - left : right - left]
         codes[up - first[0] : bottom - first[0], side - first[1] : right - first[1]] = inner
     return codes
+
+
+def spread(cells: Mask, grid: CoarseGrid, over: CoarseGrid) -> Mask:
+    """A mask of a grid's cells as one of a grid that contains it, bool [H, W]."""
+    mask = np.zeros(over.codes.shape, bool)
+    mask[_window(grid, *over.first)] = cells
+    return mask
 
 
 def _window(grid: CoarseGrid, top: int, left: int) -> tuple[slice, slice]:

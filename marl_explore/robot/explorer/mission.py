@@ -7,7 +7,7 @@ import math
 from marl_explore.robot.explorer.choice import Rival, price
 from marl_explore.robot.explorer.frontiers import Candidate, candidates, long_clusters
 from marl_explore.robot.explorer.places import Place, Point
-from marl_explore.robot.explorer.progress import Attempt, Verdict
+from marl_explore.robot.explorer.progress import NEAR, Attempt, Verdict
 from marl_explore.robot.explorer.settings import ExplorerSettings
 from marl_explore.robot.explorer.skips import TRIES, Counts, SkipList
 from marl_explore.robot.explorer.status import State
@@ -17,14 +17,12 @@ from marl_explore.robot.geometry import GridCell
 ASK_NAV2 = "is Nav2 active, and does it hear the goals?"
 MOVED = 0.3
 """A robot that has come so far from its start can move (metres)."""
-
-
-CROWDED = 1.0
-"""A teammate so near to a robot that does not come to its goal may be in the way (metres)."""
-ASIDE = 2.0
-"""Longest way to a place where a robot is out of the way (metres)."""
+CROWDED = 5.0
+"""A teammate so many radii from a robot that does not come to its goal may be in the way."""
+ASIDE = 10.0
+"""Longest way to a place where a robot is out of the way (radii)."""
 MOST_BLOCKED = 4
-"""Times in a row that a goal is not reached beside a teammate before it counts as a try."""
+"""Goals that are not reached beside a teammate, and do not count as tries, between two that are."""
 MOST_CHOICES = 6
 """Times that a frontier is chosen; one that comes and goes in a map that flickers is left alone."""
 
@@ -47,6 +45,8 @@ class Mission:
         """The way to it when it was chosen."""
         self.reached = 0
         """Goals that were reached."""
+        self.view: View | None = None
+        """What the last choice was made from."""
         self.state: State = "exploring"
         self.sentence = ""
         self._chosen: list[Point] = []
@@ -54,8 +54,8 @@ class Mission:
         self._next_map, self._waits_until = 0.0, -math.inf
         self._blocked, self._steps_aside = 0, False
         self._empty_since: float | None = None
-        self._is_home = self._can_move = self._failed = False
-        self._returns = 0
+        self._is_home = self._can_move = self._failed = self._is_open = False
+        self._returns = self._sent_home = 0
         self._place, self._time = start, 0.0
 
     # ------------------------------------------------------------ on the way
@@ -65,7 +65,7 @@ class Mission:
         self._can_move |= place.distance(self.start) > MOVED
         if self.attempt is None:
             return None
-        near = 2 * self.settings.arrival
+        near = NEAR * self.settings.arrival
         left = place.distance(self.attempt.goal)
         if left <= near and not view.is_linked(place, self.attempt.goal, 2 * near):
             left = math.inf  # behind a wall
@@ -79,10 +79,12 @@ class Mission:
             return None
         if verdict != "arrived":
             return self._fail(attempt, verdict, view, place, time)
+        if not attempt.final:
+            return None
         self._blocked = 0
         if attempt.faces is None:
-            self._is_home, self._returns = attempt.final, self._returns + attempt.final
-        elif attempt.final:
+            self._is_home, self._returns = True, self._returns + 1
+        else:
             self.reached += 1
             self._visited = attempt.faces
             self._next_map, self._waits_until = maps + 1, time + self.settings.map_patience
@@ -94,22 +96,22 @@ class Mission:
     ) -> Place | None:
         """Note that a goal was not reached; the place to step aside to, if a teammate is near."""
         self._failed = True
-        near = [rival for rival in view.rivals if rival.place.distance(place) <= CROWDED]
-        if near and self._blocked < MOST_BLOCKED:
+        reach = CROWDED * self.settings.radius
+        near = [r for r in view.rivals if view.is_linked(place, r.place, reach)]
+        if near and self._can_move and self._blocked < MOST_BLOCKED:
             self._blocked += 1
             is_first = all(self.name < rival.name for rival in near)
-            return (
-                self._step_aside(near, view, place, time) if is_first != self._blocked % 2 else None
-            )
+            is_asked = is_first == (self._blocked % 2 == 0)  # in turns, the first one last
+            return self._step_aside(near, view, place, time) if is_asked else None
         if attempt.faces is None:
             self._returns += 1
         else:
-            self.skips.add(attempt.faces, self.settings.goal_radius, verdict, view.grid)
+            self.skips.add(attempt.faces, self.settings.goal_radius, verdict, view.union)
         return None
 
     def _step_aside(self, near: list[Rival], view: View, place: Place, time: float) -> Place | None:
         """Go away from teammates that want to pass, and wait there."""
-        cell = view.farthest(near, ASIDE)
+        cell = view.farthest(near, ASIDE * self.settings.radius)
         if cell is None:
             return None
         self._place, self._time, self._steps_aside = place, time, True
@@ -126,24 +128,33 @@ class Mission:
     def decide(self, view: View, place: Place, time: float) -> Place | None:
         """Choose what to do; the goal, if it is a new one."""
         self._place, self._time = place, time
-        self.skips.renew(view.grid)
+        self.skips.renew(view.union)
         self._leave_visited(view)
+        self._note_way_home(view)
         if self._steps_aside:
             return None
+        self.view = view
         options = self._options(view, 1) or self._options(view, TRIES)
         if not options:
-            view = view.reopened
+            self.view = view = view.reopened
             options = self._options(view, 1) or self._options(view, TRIES)
         if not options:
             return self._finish(view)
-        self._empty_since, self._is_home, self._returns = None, False, 0
+        self._empty_since, self._is_home = None, False
+        self._returns = self._sent_home = 0
         return self._go(min(options, key=lambda option: self._price(option, view)), view)
+
+    def _note_way_home(self, view: View) -> None:
+        """Begin anew with returning when the way to the start opens."""
+        was_open, self._is_open = self._is_open, view.nearest_reached(self.start) is not None
+        if self._is_open and not was_open:
+            self._returns = self._sent_home = 0
 
     def _options(self, view: View, tries: int) -> list[Candidate]:
         """Goals that were tried less often than that; 0: all."""
         settings, found = self.settings, view.reach.frontiers
         if tries:
-            cells = view.reach.border & ~self.skips.covered(view.grid, tries)
+            cells = view.reach.border & ~self.skips.covered(view.union, tries)
             found = tuple(long_clusters(cells, view.grid.side, settings.min_frontier)[0])
         return candidates(view.grid, view.reach.lengths, found, settings.goal_radius, settings.view)
 
@@ -151,6 +162,8 @@ class Mission:
         """Skip frontiers that have stayed although the robot has been there."""
         if self._visited is None:
             return
+        if self.view is not None and self.view.grid is not self.view.union:
+            view = view.reopened
         points = [
             view.grid.middle(option.faces)
             for option in self._options(view, 0)
@@ -158,7 +171,7 @@ class Mission:
         ]
         if view.grid.is_in(self._visited, view.reach.border):
             points.append(self._visited)
-        self.skips.add_in_vain(points, self.settings.arrival, view.grid)
+        self.skips.add_in_vain(points, self.settings.arrival, view.union)
         self._visited = None
 
     def _price(self, option: Candidate, view: View) -> float:
@@ -191,16 +204,18 @@ class Mission:
             if self.attempt.final or not longer:
                 return None
         elif self._is_chosen_too_often(faces):
-            self.skips.add_in_vain([faces], self.settings.arrival, view.grid)
+            self.skips.add_in_vain([faces], self.settings.arrival, view.union)
             self.attempt = None
             return None
         return self._send(goal, faces, final, cells, view)
 
     def _stage(self, cells: list[GridCell], view: View) -> Place | None:
         """The last place on a way that Nav2 can plan to; None: the end, or it is not worth it."""
-        known = next((i for i, c in enumerate(cells) if not view.is_own(c)), len(cells))
+        clear = [bool(view.clear[cell]) for cell in cells]
+        begin = clear.index(True) if any(clear) else 0  # it may stand beside a teammate
+        known = clear.index(False, begin) if not all(clear[begin:]) else len(cells)
         last = cells[max(known - 1, 0)]
-        near = self._place.distance(view.grid.middle(last)) <= 1.5 * self.settings.arrival
+        near = self._place.distance(view.grid.middle(last)) <= NEAR * self.settings.arrival
         if near or last == cells[-1]:
             return None
         x, y = view.spot(last)
@@ -226,7 +241,7 @@ class Mission:
         """Wait for a while, return to the start, and say what is left."""
         if self.attempt is not None and self.attempt.faces is not None:
             self.attempt = None
-        left = self.skips.count(view.grid, view.reach.border)
+        left = self.skips.count(view.union, view.reach.border)
         if left.given_up and not self._can_move:  # the goals may be fine: begin anew
             self.skips.entries.clear()
             return None
@@ -255,12 +270,13 @@ class Mission:
             self._is_home = True
             return None
         cell = view.nearest_reached(self.start)
-        if cell is None or self._returns >= TRIES:
+        if cell is None or self._returns >= TRIES or self._sent_home >= MOST_CHOICES:
             self.sentence += "; the robot cannot return to its start"
             return None
         self.state, self.sentence = "returning", f"{self.sentence}; returning to the start"
         if self.attempt is not None:
             return None
+        self._sent_home += 1
         cells = view.path(cell)
         stage = self._stage(cells, view)
         return self._send(stage or self.start, None, stage is None, cells, view)

@@ -61,7 +61,7 @@ def require_place(name: str, place: Place) -> None:
     place.check()
 
 
-LONGEST_STEP = 1.0
+LONGEST_STEP = 0.75
 """Poses farther apart are not joined by a line (metres): the robot may have been put elsewhere."""
 
 
@@ -69,7 +69,7 @@ class Trail:
     """Where a robot has been: points of the last seconds, and cells of the whole time.
 
     Args:
-        spacing: distance between points, and side of the cells (metres).
+        spacing: distance between points, and side of the cells: of the coarse grid (metres).
         kept: how long a point is kept (seconds).
     """
 

@@ -12,13 +12,18 @@ STARTED = 0.1
 """A robot that has moved so far has started (metres)."""
 
 
+NEAR = 2.0
+"""So many times ``arrival`` from its goal a robot that comes no nearer has arrived."""
+
+
 class Attempt:
     """One goal, from the moment it is sent.
 
     Args:
         goal: where the robot is sent.
-        faces: the unknown point at the frontier; None when the robot returns to its start.
-        final: whether the goal lies at the frontier, and not on the way to it.
+        faces: the unknown point at the frontier; None when the robot returns to its start, or
+            stands aside.
+        final: whether the goal is the frontier or the start, and not a stage on the way there.
         way: length of the way to the goal (metres).
         place: where the robot is.
         time: lived time (seconds).
@@ -62,7 +67,7 @@ class Attempt:
             verdict = "no progress"
         elif time > self._deadline:
             verdict = "too late"
-        if verdict != "going" and left <= 2 * settings.arrival:
+        if verdict != "going" and left <= NEAR * settings.arrival:
             return "arrived"  # poses may come only every half metre
         return verdict
 

@@ -8,7 +8,6 @@ from marl_explore.robot.explorer.grids import MOST_TOGETHER, OccupancyMap
 from marl_explore.robot.explorer.merging import Fit
 from marl_explore.robot.explorer.places import Place, Point, Trail
 from marl_explore.robot.explorer.settings import ExplorerSettings
-from marl_explore.robot.geometry import GridCell
 
 
 @dataclass
@@ -69,11 +68,6 @@ class Team:
     own: str
     trail: Trail
     mates: dict[str, Mate]
-
-    def visited(self) -> set[GridCell]:
-        """Cells of the lattice in which a robot has been, whose places mean something."""
-        trails = [self.trail, *(m.trail for m in self.mates.values() if not m.refused)]
-        return set().union(*(trail.cells for trail in trails))
 
     def bodies(self, of: str, time: float, settings: ExplorerSettings) -> list[Point]:
         """Where robots are or have been lately that can be obstacles in one robot's map."""

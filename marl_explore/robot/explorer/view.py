@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marl_explore.config.constants import FREE
+from marl_explore.config.constants import FREE, OCCUPIED
 from marl_explore.robot.explorer.choice import Rival
 from marl_explore.robot.explorer.frontiers import Cluster, border, cells_of, long_clusters
 from marl_explore.robot.explorer.grids import (
@@ -20,6 +20,7 @@ from marl_explore.robot.explorer.grids import (
     Mask,
     OccupancyMap,
     span,
+    spread,
     union,
 )
 from marl_explore.robot.explorer.merging import fit
@@ -83,8 +84,10 @@ class View:
     """How far from a place the cell may be in which something stands (metres)."""
     start: GridCell
     """Where the robot is."""
-    visited: Mask
-    """Cells in which a robot of the team has been."""
+    union: CoarseGrid
+    """The grid as the maps have it."""
+    visited: tuple[set[GridCell], ...]
+    """Cells in which each robot has been whose map is one of the layers."""
     least: float
     """Shortest cluster of a frontier (metres)."""
     rivals: tuple[Rival, ...]
@@ -112,18 +115,14 @@ class View:
 
     def farthest(self, rivals: Sequence[Rival], most: float) -> GridCell | None:
         """Of the cells that Nav2 reaches within a way (metres), the farthest from teammates."""
-        lengths, steps = self.reach.lengths, round(2 * most / self.grid.side)
-        near = zip(*((lengths != NO_WAY) & (lengths <= steps)).nonzero(), strict=True)
-        cells = [cell for cell in near if self.is_own(cell)]
-        away = [
-            min(
-                float(rival.lengths[cell]) if rival.lengths[cell] != NO_WAY else math.inf
-                for rival in rivals
-            )
-            for cell in cells
-        ]
-        best = max(zip(away, (-lengths[cell] for cell in cells), cells, strict=True), default=None)
-        return best and best[2]
+        lengths = self.reach.lengths
+        near = self.clear & (lengths != NO_WAY) & (lengths <= round(2 * most / self.grid.side))
+        if not near.any():
+            return None
+        ways = [np.where(r.lengths == NO_WAY, np.inf, r.lengths) for r in rivals]
+        away = np.where(near, np.minimum.reduce(ways), -np.inf)
+        nearest = np.where(away == away.max(), lengths, np.iinfo(lengths.dtype).max)
+        return divmod(int(nearest.argmin()), lengths.shape[1])
 
     def path(self, cell: GridCell) -> list[GridCell]:
         """The cells of the way to a reached cell."""
@@ -137,12 +136,11 @@ class View:
                 return layer.spot(inside)
         return self.grid.middle(cell)
 
-    def is_own(self, cell: GridCell) -> bool:
-        """Whether a cell is free in the own map as Nav2 has it, with robots as obstacles."""
+    @cached_property
+    def clear(self) -> Mask:
+        """Cells that are free in the own map as Nav2 has it, with robots as obstacles [H, W]."""
         own = self.layers[0]
-        row, column = self._cell_of(own.grid, cell)
-        height, width = own.clear.shape
-        return 0 <= row < height and 0 <= column < width and bool(own.clear[row, column])
+        return spread(own.clear, own.grid, self.grid)
 
     @cached_property
     def reopened(self) -> View:
@@ -151,7 +149,9 @@ class View:
         What is in the way there may be a robot that has left, and that the own map has not seen
         leave; or it has been put there since, which only a look can tell.
         """
-        codes = np.where(self.visited, FREE, self.grid.codes).astype(np.int8)
+        visited = self.grid.mask(set().union(*self.visited))
+        codes = self.grid.codes.copy()
+        codes[visited & (codes == OCCUPIED)] = FREE
         grid = self.grid._replace(codes=codes)
         return replace(self, grid=grid, reach=Reach.over(grid, self.start, self.least))
 
@@ -175,6 +175,7 @@ def look(
     if start is None:
         return None
     layers = [mine]
+    visited = [team.trail.cells]
     mates = sorted(team.mates.values(), key=lambda mate: -(mate.heard or 0.0))
     for mate in mates:
         if mate.map is None:
@@ -189,6 +190,7 @@ def look(
         mate.is_too_large = mate.refused = math.prod(shape) > MOST_TOGETHER
         if not mate.refused:
             layers.append(layer)
+            visited.append(mate.trail.cells)
     grid = union(layer.grid for layer in layers)
     first = grid.cell(mine.grid.middle(start))
     return View(
@@ -197,7 +199,8 @@ def look(
         reach=Reach.over(grid, first, settings.min_frontier),
         near=STANDING * size,
         start=first,
-        visited=grid.mask(team.visited()),
+        union=grid,
+        visited=tuple(visited),
         least=settings.min_frontier,
         rivals=tuple(_rivals(mates, grid, grid.codes == FREE, time, settings)),
     )

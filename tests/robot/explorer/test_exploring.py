@@ -45,6 +45,14 @@ NARROW = """
 #...........#
 #############
 """
+CORRIDOR = """
+################################
+#..1...........................#
+#...2..........................#
+#..............................#
+#..............................#
+################################
+"""
 DEAD_END = """
 ############################
 #..........#...............#
@@ -137,18 +145,56 @@ def test_poses_that_come_every_half_metre_are_enough():
     assert explored(run) > 0.93
 
 
-def test_a_way_back_that_is_blocked_for_a_while_is_waited_for():
+@pytest.mark.parametrize(("seconds", "states"), [(20, 2), (150, 4)])
+def test_a_robot_returns_when_the_way_back_opens(seconds, states):
     run = trial(DEAD_END)
     run.world.open("a")
     run.until(lambda: run.state("robot_1") == "returning", 300)
     assert run.rovers["robot_1"].at.x > 3.5  # behind the door
     run.world.close("a")
-    run.run(20)
-    assert run.state("robot_1") == "returning"
+    run.run(seconds)
+    run.rovers["robot_1"].goal = None  # as Nav2 drops what it cannot reach
     run.world.open("a")
-    run.until(lambda: is_done(run), 100)
-    assert run.states["robot_1"] == ["exploring", "returning", "complete"]
-    assert run.rovers["robot_1"].at.distance(run.world.starts["1"]) <= 0.5
+    run.until(lambda: run.rovers["robot_1"].at.distance(run.world.starts["1"]) <= 0.5, 100)
+    run.until(lambda: is_done(run), 20)
+    assert len(run.states["robot_1"]) == 1 + states
+    assert run.states["robot_1"][-2:] == ["returning", "complete"]
+
+
+def test_a_teammate_that_stays_in_the_door_is_not_waited_for_forever():
+    run = trial(DEAD_END, 2)
+    run.world.open("a")
+    run.until(lambda: run.state("robot_1") == "returning", 300)
+    run.wheels = lambda name: name == "robot_1"
+    run.rovers["robot_1"].at, run.rovers["robot_2"].at = Place(5.0, 1.1), Place(2.875, 1.125)
+    run.until(lambda: is_done(run), 400)
+    assert status(run).state == "complete"
+    assert "the robot cannot return to its start" in status(run).sentence
+
+
+@pytest.mark.parametrize("x", [5.2, 5.3, 5.5])
+def test_a_robot_whose_wheels_stop_near_a_stage_of_its_way_back_says_so(x):
+    """At a stage it has arrived, which must not count as a way that goes on."""
+    run = trial(CORRIDOR, 2)
+    run.until(lambda: run.state("robot_1") == "returning", 300)
+    run.wheels = lambda name: False
+    run.rovers["robot_2"].at, run.rovers["robot_1"].at = Place(4.0, 0.75), Place(x, 0.75)
+    run.until(lambda: is_done(run), 500)
+
+
+def test_counts_are_those_of_the_view_that_was_decided_on():
+    """A frontier behind an obstacle where a robot has been is tried, given up and counted."""
+    run = trial(DEAD_END, settings=ExplorerSettings(return_to_start=False))
+    run.world.open("a")
+    rover = run.rovers["robot_1"]
+    run.until(lambda: rover.at.x > 3.2, 300)
+    run.world.close("a")
+    rover.at = Place(1.4, 1.1)  # put back
+    run.until(lambda: is_done(run), 300)
+    said = status(run)
+    assert said.state == "stuck"
+    assert said.given_up > 0
+    assert said.frontiers >= said.given_up
 
 
 def test_what_a_map_still_has_of_a_robot_that_has_left_is_no_wall():
