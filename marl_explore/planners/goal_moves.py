@@ -43,6 +43,26 @@ def follow(tensordict: TensorDictBase, candidates: Candidates, choice: Tensor) -
     return _pick(move.unsqueeze(-1), choice).squeeze(-1).long()
 
 
+def keep_goal(candidates: Candidates, choice: Tensor, stalled: Tensor) -> Tensor:
+    """The choices of robots, some of which stay with the goal that they had.
+
+    Those go to the candidate frontier nearest to their last goal, the first of several as near.
+    Who communicates, or has no goal or no candidate, is not concerned.
+
+    Args:
+        candidates: what there is to choose from.
+        choice: int64 [*B, N].
+        stalled: who stays with its goal, bool [*B, N].
+    """
+    away = candidates.frontiers[..., GOAL_COLUMNS.index("from_last_goal")]
+    there = (candidates.frontiers[..., GOAL_COLUMNS.index("moves")] > 0) & (away >= 0)
+    first = torch.arange(MAX_FRONTIERS, device=choice.device)
+    order = torch.where(there, away.long() * MAX_FRONTIERS + first, torch.iinfo(torch.int64).max)
+    communicate, _ = still_choices(candidates.mates.shape[-2])
+    keeps = stalled & there.any(-1) & (choice != communicate)
+    return torch.where(keeps, order.argmin(-1), choice)
+
+
 def still_choices(robots: int) -> tuple[int, int]:
     """The choices to communicate and to stay in a team of N robots."""
     return MAX_FRONTIERS + robots, MAX_FRONTIERS + robots + 1

@@ -8,10 +8,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import ExplorationType, set_exploration_type
 
+from marl_explore.config.goals import PATIENCE
 from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
-from marl_explore.policies.actors import ACTION, ACTION_MASK, REFUSED
+from marl_explore.planners.goal_moves import follow, keep_goal
+from marl_explore.policies.actors import ACTION, ACTION_MASK, CHOICE, REFUSED
 from marl_explore.policies.policy import Policy
+from marl_explore.transforms.goals import Candidates
+from marl_explore.transforms.memory import GOAL, MEMORY
 
 MAP: NestedKey = ("agents", "map")
 STEP: NestedKey = "step_count"
@@ -24,16 +28,18 @@ class ArgmaxPolicy(TensorDictModuleBase):
     makes a random allowed move, as planners do. A robot whose map has not grown for more than
     ``patience`` steps may be moving in circles, so it samples its actions until its map grows
     again. Call this once per step; its memory is reset at step 0 of an episode. Policies that
-    choose among goals give way themselves and have a memory of their own.
+    choose among goals give way themselves; a robot whose map has not grown for so long stays with
+    its last goal (``planners.goal_moves.keep_goal``), as two may turn back and forth for each
+    other.
 
     Args:
         policy: the team.
-        patience: steps without map growth before actions are sampled.
+        patience: steps without map growth before that.
     """
 
     out_keys: list[NestedKey] = [ACTION]  # noqa: RUF012
 
-    def __init__(self, policy: Policy, patience: int = 12) -> None:
+    def __init__(self, policy: Policy, patience: int = PATIENCE) -> None:
         super().__init__()
         self.policy, self.patience = policy, patience
         self.in_keys: list[NestedKey] = [*dict.fromkeys((*policy.in_keys, REFUSED, MAP, STEP))]
@@ -43,12 +49,11 @@ class ArgmaxPolicy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N]."""
-        if self.policy.team.to_goals:
-            with set_exploration_type(ExplorationType.DETERMINISTIC):
-                return self.policy(tensordict)
         observed = self.policy.observe(tensordict)
-        wanted = self._choose(observed, ExplorationType.DETERMINISTIC)
         stalled = self._remember(tensordict) > self.patience
+        if self.policy.team.to_goals:
+            return self._choose_goals(tensordict, observed, stalled)
+        wanted = self._choose(observed, ExplorationType.DETERMINISTIC)
         if stalled.any():
             drawn = self._choose(observed, ExplorationType.RANDOM)
             wanted = torch.where(stalled, drawn, wanted)
@@ -58,6 +63,23 @@ class ArgmaxPolicy(TensorDictModuleBase):
     def _choose(self, observed: TensorDictBase, how: ExplorationType) -> Tensor:
         with set_exploration_type(how):
             return self.policy.team(observed).get(ACTION)
+
+    def _choose_goals(
+        self, tensordict: TensorDictBase, observed: TensorDictBase, stalled: Tensor
+    ) -> TensorDictBase:
+        team, last = self.policy.team, observed.get(GOAL)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            acted = team(observed)
+        if stalled.any():
+            found = Candidates(*(acted.get(key) for key in team.observation_keys))
+            choice = keep_goal(found, acted.get(CHOICE), stalled)
+            changed = choice != acted.get(CHOICE)
+            move = follow(acted.set(GOAL, last), found, choice)
+            yields = give_way(move, tensordict.get(ACTION_MASK), tensordict.get(REFUSED))
+            acted.set(ACTION, torch.where(changed, yields, acted.get(ACTION)))
+        if tensordict.get(MEMORY, None) is not None:
+            tensordict.set(GOAL, acted.get(GOAL))
+        return tensordict.set(ACTION, acted.get(ACTION))
 
     def _remember(self, tensordict: TensorDictBase) -> Tensor:
         """Steps since each robot's map last grew, int64 [*B, N]; 0 at the start of an episode."""

@@ -16,13 +16,15 @@ from marl_explore.config.constants import (
     NUM_DIRECTIONS,
     STAY,
 )
+from marl_explore.config.goals import PATIENCE
 from marl_explore.config.shapes import Sight
 from marl_explore.robot.candidates import CandidateFinder, Candidates
 from marl_explore.robot.goal_network import GoalNetwork
 from marl_explore.robot.networks import Array, Weights
 from marl_explore.robot.observation import Observation
 
-_MOVE = GOAL_COLUMNS.index("move")
+_MOVE, _MOVES = GOAL_COLUMNS.index("move"), GOAL_COLUMNS.index("moves")
+_FROM_LAST_GOAL = GOAL_COLUMNS.index("from_last_goal")
 _MOVE_TO_MATE = MATE_COLUMNS.index("move")
 
 
@@ -51,6 +53,8 @@ class GoalChooser:
     def __init__(self, robot: int, sight: Sight) -> None:
         self.robot, self.sight = robot, sight
         self._episode: CandidateFinder | None = None
+        self._known = self._stalled = 0
+        """Known cells, and for how many steps there have been so many."""
 
     def blank(self) -> Self:
         """The same without a memory."""
@@ -68,8 +72,12 @@ class GoalChooser:
         if episode is None or not episode.follows(observed):
             robots = len(observed.net)
             episode = CandidateFinder(self.robot, robots, observed.map.shape, self.sight)
-            self._episode = episode
-        return episode.find(observed)
+            self._episode, self._known = episode, -1
+        found = episode.find(observed)
+        same = found.context.known_cells <= self._known
+        self._stalled = self._stalled + 1 if same else 0
+        self._known = found.context.known_cells
+        return found
 
     def go(self, found: Candidates, choice: int) -> int:
         """The first move to a choice, whose cell is remembered as the goal.
@@ -120,8 +128,21 @@ class GoalActor(GoalChooser):
         """
         found, choices, logits = self.look(observed)
         best = (logits + chance.gumbel(size=logits.shape) if sample else logits).argmax()
-        wanted = self.go(found, choices[int(best)])
+        choice = choices[int(best)]
+        if not sample and self._stalled > PATIENCE:
+            choice = keep_goal(found, choice)
+        wanted = self.go(found, choice)
         return give_way(wanted, observed.action_mask, observed.refused, chance)
+
+
+def keep_goal(found: Candidates, choice: int) -> int:
+    """``planners.goal_moves.keep_goal`` of one robot that stays with its goal."""
+    places = found.frontiers
+    there = (places[:, _MOVES] > 0) & (places[:, _FROM_LAST_GOAL] >= 0)
+    if choice == MAX_FRONTIERS + len(found.mates) or not there.any():
+        return choice
+    away = np.where(there, places[:, _FROM_LAST_GOAL], np.iinfo(np.int64).max)
+    return int(away.argmin())
 
 
 def give_way(
