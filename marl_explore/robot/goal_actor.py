@@ -141,7 +141,7 @@ def keep_goal(found: Candidates, choice: int) -> int:
     there = (places[:, _MOVES] > 0) & (places[:, _FROM_LAST_GOAL] >= 0)
     if choice == MAX_FRONTIERS + len(found.mates) or not there.any():
         return choice
-    away = np.where(there, places[:, _FROM_LAST_GOAL], np.iinfo(np.int64).max)
+    away = np.where(there, places[:, _FROM_LAST_GOAL], np.inf)
     return int(away.argmin())
 
 

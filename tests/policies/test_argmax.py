@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import nn
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore.config.constants import GOAL_COLUMNS, MAX_FRONTIERS
 from marl_explore.evaluation.registry import find_policy
+from marl_explore.planners.goal_moves import keep_goal
 from marl_explore.policies.argmax import ArgmaxPolicy
-from marl_explore.policies.io import save_policy
+from marl_explore.policies.export import export_npz, robot_observation
+from marl_explore.policies.io import load_policy, save_policy
 from marl_explore.policies.networks import MLP
 from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.robot import ExportedPolicy, goal_actor
+from marl_explore.robot import candidates as robot_candidates
+from marl_explore.transforms.goals import Candidates
 from tests.helpers.boards import ACTIONS, arena
 from tests.policies.test_policies import a_policy
 
@@ -119,3 +126,68 @@ def test_likeliest_actions_of_a_saved_policy_by_name(tmp_path):
     assert torch.equal(one, two)
     drawn = find_policy(str(path), ArenaConfig())(td.clone())["agents", "action"]
     assert not torch.equal(one, drawn)
+
+
+def steps_to_the_end(act):
+    """In an arena where the likeliest goals of two robots change with every step; at most 60."""
+    env = ExplorationEnv(
+        ArenaConfig(num_agents=2),
+        seed=3,
+        stream="test",
+        first_arena=58,
+        max_steps=60,
+        terminate_at_coverage=1.0,
+    )
+    td = env.reset()
+    for step in range(1, 61):
+        td = env.step(act(td))["next"]
+        if td["done"].all():
+            return step
+    raise AssertionError("an episode ends after 60 steps")
+
+
+def test_two_robots_do_not_turn_back_and_forth_for_each_other():
+    torch.manual_seed(0)
+    policy = load_policy("best")
+    assert steps_to_the_end(ArgmaxPolicy(policy)) < 55
+    assert steps_to_the_end(ArgmaxPolicy(policy, patience=1000)) == 60
+
+
+def test_two_robots_with_numpy_alone_do_not_either(tmp_path):
+    path = export_npz(load_policy("best"), tmp_path / "policy.npz")
+    robots = [ExportedPolicy(path, robot, sample=False) for robot in range(2)]
+
+    def act(td):
+        actions = [robots[robot](robot_observation(td, 0, robot)) for robot in range(2)]
+        return td.set(("agents", "action"), torch.tensor([actions]))
+
+    assert steps_to_the_end(act) < 55
+
+
+def test_the_goal_that_is_kept_is_the_nearest_to_the_last_one():
+    """Against a loop, in torch and in numpy."""
+    random = np.random.default_rng(0)
+    robots, away, moves = 3, GOAL_COLUMNS.index("from_last_goal"), GOAL_COLUMNS.index("moves")
+    frontiers = np.zeros((200, MAX_FRONTIERS, len(GOAL_COLUMNS)), np.int32)
+    for table in frontiers:
+        number = random.integers(0, MAX_FRONTIERS + 1)
+        table[:number, moves] = random.integers(1, 9, number)
+        table[:number, away] = random.integers(0, 6, number) if random.random() < 0.7 else -1
+    choice = random.integers(0, MAX_FRONTIERS + robots + 2, len(frontiers))
+    stalled = random.random(len(frontiers)) < 0.8
+    mates = np.zeros((len(frontiers), robots, 9), np.int32)
+    tables = (
+        torch.from_numpy(frontiers),
+        torch.tensor(0),
+        torch.from_numpy(mates),
+        torch.tensor(0),
+    )
+    kept = keep_goal(Candidates(*tables), torch.from_numpy(choice), torch.from_numpy(stalled))
+    for row, (table, old) in enumerate(zip(frontiers, choice.tolist(), strict=True)):
+        near = [(d, i) for i, d in enumerate(table[:, away]) if table[i, moves] > 0 and d >= 0]
+        keeps = near and old != MAX_FRONTIERS + robots
+        expected = min(near)[1] if keeps else old
+        assert kept[row] == (expected if stalled[row] else old)
+        found = robot_candidates.Candidates(table, None, mates[row], None)
+        assert goal_actor.keep_goal(found, old) == expected
+    assert (kept != torch.from_numpy(choice)).sum() > 50
