@@ -7,8 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
+from torchrl.envs import ExplorationType, set_exploration_type
 
-from marl_explore.policies.export import Deployed, example_inputs, export_npz
+from marl_explore import ArenaConfig, list_policies, load_policy, make_env
+from marl_explore.policies.argmax import ArgmaxPolicy
+from marl_explore.policies.export import (
+    Deployed,
+    example_inputs,
+    export_npz,
+    robot_observation,
+)
 from marl_explore.policies.networks import MLP
 from marl_explore.policies.policy import Policy
 from marl_explore.robot import ExportedPolicy, Observation
@@ -154,3 +162,22 @@ def test_a_network_without_a_numpy_twin_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"twinless actors cannot be exported as \.npz"):
         export_npz(Policy(config, config.make_actors()), tmp_path / "policy.npz")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", list_policies())
+def test_every_bundled_policy_decides_on_robots_as_in_torch(name, tmp_path):
+    policy = load_policy(name)
+    path = export_npz(policy, tmp_path / "policy.npz")
+    robots = [ExportedPolicy(path, robot, sample=False) for robot in range(4)]
+    env = make_env(ArenaConfig(), num_envs=1, seed=1, fpr=policy.config.fpr)
+    careful = ArgmaxPolicy(policy)
+    td, same = env.reset(), []
+    for _ in range(30):
+        ours = torch.tensor([r(robot_observation(td, 0, i)) for i, r in enumerate(robots)])
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            theirs = policy(td.clone())["agents", "action"][0]
+        yields = td["agents", "dangerous"][0]  # by chance
+        same += (theirs == ours)[~yields].tolist()
+        td = env.step(careful(td))["next"]
+    assert len(same) > 90
+    assert np.mean(same) > 0.97  # ties of rounding, and who gives way

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from marl_explore import PLANNERS, ArenaConfig, ExplorationEnv
+from marl_explore import PLANNERS, ArenaConfig, ExplorationEnv, load_policy
 from marl_explore.cli import lab as command
 from marl_explore.lab import LabRunner, planner_policies
 from marl_explore.lab.planner_policy import PlannerPolicy
@@ -76,6 +76,15 @@ def test_a_team_of_planners_explores_the_lab(name):
     arenas = start["obstacles"], start["agents", "position"]
     lab = LabRunner(planner_policies(name, config), arenas, config=config)
     found = lab.run(25)
+    assert found.wrong_cells() == 0
+    assert found.coverage()["merged"][0, -1] == 1
+
+
+def test_the_bundled_policy_of_any_team_explores_the_lab():
+    config = replace(ArenaConfig(), height=8, width=8, num_agents=3)
+    start = ExplorationEnv(config, seed=2).reset()
+    arenas = start["obstacles"], start["agents", "position"]
+    found = LabRunner(load_policy("best"), arenas, config=config).run(25)
     assert found.wrong_cells() == 0
     assert found.coverage()["merged"][0, -1] == 1
 

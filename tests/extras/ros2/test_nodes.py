@@ -28,8 +28,8 @@ from tests.extras.ros2.team import Team, Watcher
 from tests.helpers.policy_file import policy_file
 
 TICKS = 10
-BUNDLED = "paper-cnn-case1"
-"""Of the bundled policies of one size of team, one that communicates often."""
+BUNDLED = ("paper-cnn-case1", "best")
+"""Of the bundled policies of one size of team one that communicates often, and that of any."""
 FAST = {"speed": 20.0}
 """As fast as the robots answer."""
 
@@ -40,12 +40,12 @@ def policy(tmp_path):
     return policy_file(tmp_path, talkative=1.5)
 
 
-@pytest.fixture
-def bundled(tmp_path):
+@pytest.fixture(params=BUNDLED)
+def bundled(request, tmp_path):
     from marl_explore import load_policy
     from marl_explore.policies.export import export_npz
 
-    return export_npz(load_policy(BUNDLED), tmp_path / "bundled.npz")
+    return export_npz(load_policy(request.param), tmp_path / "bundled.npz")
 
 
 @contextmanager
