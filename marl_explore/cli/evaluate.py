@@ -9,7 +9,8 @@ marl-explore evaluate paper-cnn-case2 paper-cnn-case2:argmax
 marl-explore evaluate mypackage.agents:Explorer nearest-timer
 
 Policies sample their actions. With :argmax they take the most likely action, make a random allowed
-move after a refused one, and sample when their map has not grown for more than 12 steps. The arenas
+move after a refused one, and sample when their map has not grown for more than 12 steps; those that
+choose among goals keep their goal when it has not grown for more than 40. The arenas
 are those that the first trained policy was trained for, unless flags change them.
 """
 

@@ -113,7 +113,7 @@ class GoalWeights:
     """First time of exchanges, in sqrt(cells / robots) steps, at most 14 steps."""
 
 
-PATIENCE = 12
+PATIENCE = 40
 """Steps without growth of its map after which a robot that takes its best goal keeps the last."""
 PRIOR = GoalWeights(
     moves=0.125,

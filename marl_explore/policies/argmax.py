@@ -8,7 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from marl_explore.config.goals import PATIENCE
+from marl_explore.config import goals
 from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
 from marl_explore.planners.goal_moves import follow, keep_goal
@@ -19,6 +19,7 @@ from marl_explore.transforms.memory import GOAL, MEMORY
 
 MAP: NestedKey = ("agents", "map")
 STEP: NestedKey = "step_count"
+PATIENCE = 12
 
 
 class ArgmaxPolicy(TensorDictModuleBase):
@@ -34,13 +35,16 @@ class ArgmaxPolicy(TensorDictModuleBase):
 
     Args:
         policy: the team.
-        patience: steps without map growth before that.
+        patience: steps without map growth before that; None: 12, or 40 if it chooses among goals,
+            since ways to goals are longer.
     """
 
     out_keys: list[NestedKey] = [ACTION]  # noqa: RUF012
 
-    def __init__(self, policy: Policy, patience: int = PATIENCE) -> None:
+    def __init__(self, policy: Policy, patience: int | None = None) -> None:
         super().__init__()
+        if patience is None:
+            patience = goals.PATIENCE if policy.team.to_goals else PATIENCE
         self.policy, self.patience = policy, patience
         self.in_keys: list[NestedKey] = [*dict.fromkeys((*policy.in_keys, REFUSED, MAP, STEP))]
         self.sees = policy.sees

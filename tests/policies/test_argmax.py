@@ -129,28 +129,28 @@ def test_likeliest_actions_of_a_saved_policy_by_name(tmp_path):
 
 
 def steps_to_the_end(act):
-    """In an arena where the likeliest goals of two robots change with every step; at most 60."""
+    """In an arena where the likeliest goals of two robots change with every step; at most 120."""
     env = ExplorationEnv(
         ArenaConfig(num_agents=2),
         seed=3,
         stream="test",
         first_arena=58,
-        max_steps=60,
+        max_steps=120,
         terminate_at_coverage=1.0,
     )
     td = env.reset()
-    for step in range(1, 61):
+    for step in range(1, 121):
         td = env.step(act(td))["next"]
         if td["done"].all():
             return step
-    raise AssertionError("an episode ends after 60 steps")
+    raise AssertionError("an episode ends after 120 steps")
 
 
 def test_two_robots_do_not_turn_back_and_forth_for_each_other():
     torch.manual_seed(0)
     policy = load_policy("best")
-    assert steps_to_the_end(ArgmaxPolicy(policy)) < 55
-    assert steps_to_the_end(ArgmaxPolicy(policy, patience=1000)) == 60
+    assert steps_to_the_end(ArgmaxPolicy(policy)) < 110
+    assert steps_to_the_end(ArgmaxPolicy(policy, patience=1000)) == 120
 
 
 def test_two_robots_with_numpy_alone_do_not_either(tmp_path):
@@ -161,7 +161,7 @@ def test_two_robots_with_numpy_alone_do_not_either(tmp_path):
         actions = [robots[robot](robot_observation(td, 0, robot)) for robot in range(2)]
         return td.set(("agents", "action"), torch.tensor([actions]))
 
-    assert steps_to_the_end(act) < 55
+    assert steps_to_the_end(act) < 110
 
 
 def test_the_goal_that_is_kept_is_the_nearest_to_the_last_one():
