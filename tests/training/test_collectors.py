@@ -369,7 +369,7 @@ def long_run(tmp_path):
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
         start_new_session=True,
     )
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + 300
     while not (folder / "scalars" / "reward.csv").exists():
         assert program.poll() is None
         assert time.monotonic() < deadline
