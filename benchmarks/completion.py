@@ -64,7 +64,7 @@ def measure(names: str, task: str, seed: int, stream: str = TEST_STREAM) -> Coun
             terminate_at_coverage=1.0,
         )
         steps = torch.full((int(number),), longest + 1)
-        for step, seen in enumerate(play(find_policy(name, config), env, longest)):
+        for step, seen in enumerate(play(find_policy(name, config), env, longest, True)):
             if step == 0:
                 continue
             running = steps > longest
@@ -73,8 +73,6 @@ def measure(names: str, task: str, seed: int, stream: str = TEST_STREAM) -> Coun
             count.communications += int(talks.sum())
             count.useful += int((talks & (seen["agents", "received"][running] > 0)).sum())
             steps[running & seen["terminated"].squeeze(-1)] = step
-            if not (steps > longest).any():
-                break
         count.steps.append(steps.tolist())
         count.incomplete += int((steps > longest).sum())
     return count

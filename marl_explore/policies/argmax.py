@@ -15,7 +15,7 @@ from marl_explore.planners.goal_moves import follow, keep_goal
 from marl_explore.policies.actors import ACTION, ACTION_MASK, CHOICE, REFUSED
 from marl_explore.policies.policy import Policy
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import GOAL, MEMORY
+from marl_explore.transforms.memory import GOAL
 
 MAP: NestedKey = ("agents", "map")
 STEP: NestedKey = "step_count"
@@ -81,9 +81,7 @@ class ArgmaxPolicy(TensorDictModuleBase):
             move = follow(acted.set(GOAL, last), found, choice)
             yields = give_way(move, tensordict.get(ACTION_MASK), tensordict.get(REFUSED))
             acted.set(ACTION, torch.where(changed, yields, acted.get(ACTION)))
-        if tensordict.get(MEMORY, None) is not None:
-            tensordict.set(GOAL, acted.get(GOAL))
-        return tensordict.set(ACTION, acted.get(ACTION))
+        return self.policy.write(tensordict, acted)
 
     def _remember(self, tensordict: TensorDictBase) -> Tensor:
         """Steps since each robot's map last grew, int64 [*B, N]; 0 at the start of an episode."""

@@ -144,7 +144,11 @@ class Policy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action")."""
-        acted = self.team(self.observe(tensordict))
+        return self.write(tensordict, self.team(self.observe(tensordict)))
+
+    @staticmethod
+    def write(tensordict: TensorDictBase, acted: TensorDictBase) -> TensorDictBase:
+        """Write the actions that the team has chosen, and its goals where there is a memory."""
         if tensordict.get(MEMORY, None) is not None:
             tensordict.set(GOAL, acted.get(GOAL))
         return tensordict.set(("agents", "action"), acted.get(("agents", "action")))

@@ -119,8 +119,8 @@ class View:
         near = self.clear & (lengths != NO_WAY) & (lengths <= round(2 * most / self.grid.side))
         if not near.any():
             return None
-        ways = [np.where(r.lengths == NO_WAY, np.inf, r.lengths) for r in rivals]
-        away = np.where(near, np.minimum.reduce(ways), -np.inf)
+        theirs = [np.where(r.lengths == NO_WAY, np.inf, r.lengths) for r in rivals]
+        away = np.where(near, np.minimum.reduce(theirs), -np.inf)
         nearest = np.where(away == away.max(), lengths, np.iinfo(lengths.dtype).max)
         return divmod(int(nearest.argmin()), lengths.shape[1])
 
