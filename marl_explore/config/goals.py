@@ -10,6 +10,8 @@ from dataclasses import dataclass
 FRONTIER_SIZE, PAIR_SIZE, MATE_SIZE, STILL_SIZE, CONTEXT_SIZE = 18, 8, 5, 8, 10
 """Numbers of features of a candidate frontier, of a teammate beside it, of a teammate as a goal, of
 staying or communicating, and of the robot itself."""
+SENSOR = ("radius", "shape_cells")
+"""Further features of the robot itself, where actors read its sensor: of ``CONTEXT_COLUMNS``."""
 PLACE = (
     *("moves", "1 / moves", "nearest / moves", "near_gain", "middle_gain", "far_gain"),
     *("merged_cells", "last_goal", "from_last_goal", "ahead", "pocket", "small pocket"),
@@ -40,6 +42,8 @@ HALVES = {
     "distance": 6.0,
     "time": 0.5,  # steps of all robots per cell: alike in arenas and teams of any size
     "age of a visit": 32.0,
+    "radius": 4.0,
+    "shape_cells": 64.0,
 }
 """The number h for which n / (n + h) stands for a number n: h is half of the way."""
 POCKET_FADE = 8.0

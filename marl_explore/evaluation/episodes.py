@@ -44,11 +44,15 @@ def play(
     Each later one also holds the ("agents", "action") that led to it.
 
     Args:
-        policy: TensorDict in, action out.
+        policy: TensorDict in, action out; a trained one that works with any sensors is told those
+            of ``env``.
         env: reset once by this function, at the start.
         steps: maximum number of steps.
         until_done: whether to stop when every arena is done.
     """
+    # not by its class: what planners do does not depend on the modules of trained policies
+    if (in_world := getattr(policy, "in_world", None)) is not None:
+        policy = in_world(env.config)
     observation = env.reset()
     yield observation
     for _ in range(steps):

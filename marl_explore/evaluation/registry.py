@@ -35,7 +35,7 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
     except ValueError as error:
         raise ValueError(f"{error}; planners: {sorted(PLANNERS)}") from error
     _require_sensor(policy, config)
-    policy.check(config.num_agents, config.fov_size)
+    policy = policy.in_world(config)
     return ArgmaxPolicy(policy) if likeliest else policy
 
 
@@ -47,7 +47,7 @@ def is_outside(name: str) -> bool:
 def _require_sensor(policy: Policy, config: ArenaConfig) -> None:
     """Refuse a sensor that sees another square than the policy's, with what would fit."""
     own = policy.config.arena
-    if config.fov_size == own.fov_size:
+    if config.fov_size == own.fov_size or policy.config.network.any_sensor:
         return
     if config.sensing_shape != "square" or isinstance(config.sensing_range, tuple):
         return  # the policy says which size it was trained for

@@ -83,7 +83,7 @@ class LabRunner:
     ) -> None:
         if isinstance(policy, Policy):
             config, fpr = config or policy.config.arena, policy.config.fpr
-            policy.check(config.num_agents, config.fov_size)
+            policy = policy.in_world(config)
             policy = exported_policies(policy, seed=seed, robots=config.num_agents)
         self.config = config or ArenaConfig()
         self.world = LabWorld(self.config, arenas, noise, seed)

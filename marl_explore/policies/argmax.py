@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore.config import goals
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
 from marl_explore.planners.goal_moves import follow, keep_goal
@@ -49,6 +50,10 @@ class ArgmaxPolicy(TensorDictModuleBase):
         self.in_keys: list[NestedKey] = [*dict.fromkeys((*policy.in_keys, REFUSED, MAP, STEP))]
         self.sees = policy.sees
         self._known = self._since = torch.zeros(0, dtype=torch.int64)
+
+    def in_world(self, arena: ArenaConfig) -> ArgmaxPolicy:
+        """As ``Policy.in_world``."""
+        return ArgmaxPolicy(self.policy.in_world(arena), self.patience)
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -123,7 +123,32 @@ class Policy(TensorDictModuleBase):
         """What must be equal for actors to load each other's weights."""
         config, arena = self.config, self.config.arena
         robots = None if config.network.any_team else arena.num_agents
-        return config.network.layout, config.ablate, arena.fov_size, robots
+        side = None if config.network.any_sensor else arena.fov_size
+        return config.network.layout, config.ablate, side, robots
+
+    def in_world(self, arena: ArenaConfig) -> Policy:
+        """The same actors for other robots, whose sensors its features are then about.
+
+        Args:
+            arena: the robots that are to act, and their world.
+
+        Returns:
+            This policy if its actors read nothing of which the sensors are known.
+
+        Raises:
+            ValueError: for a team or sensors that the actors cannot be used with.
+        """
+        if not self.config.network.any_sensor:
+            self.check(arena.num_agents, arena.fov_size)
+            return self
+        config = replace(self.config, arena=arena)
+        if config.num_actors != len(self.actors):
+            whose = "types of robots" if config.by_type else "robots"
+            raise ValueError(
+                f"the policy has {len(self.actors)} actors, and the team {config.num_actors} "
+                f"{whose}"
+            )
+        return Policy(config, self.actors)
 
     def init_from(self, other: Policy) -> None:
         """Copy the weights of another policy's actors; those of a shared actor to every robot.
@@ -178,4 +203,6 @@ class Policy(TensorDictModuleBase):
             raise ValueError(
                 f"the policy was trained for fov_radius={arena.fov_radius}, and the environment's "
                 f"field of view is {fov_size} x {fov_size} cells"
+                + ": Policy.in_world is for other sensors"
+                * self.config.network.any_sensor
             )

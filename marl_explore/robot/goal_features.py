@@ -31,6 +31,7 @@ from marl_explore.config.goals import (
     MOST_UTILITY,
     NEAR_MOVES,
     POCKET_FADE,
+    SENSOR,
     SMALL_POCKET,
     STILL_SIZE,
     TEAM,
@@ -84,7 +85,7 @@ class GoalFeatures(NamedTuple):
     still: Array
     """[STILL_SIZE, 1] to communicate or to stay, else [STILL_SIZE, 0]."""
     context: Array
-    """[CONTEXT_SIZE]."""
+    """[CONTEXT_SIZE], followed by ``SENSOR`` where the sensor is read."""
     choices: list[int]
     """Numbers of the choices (``planners.goal_moves.follow``), in this order."""
     prior: Array
@@ -214,10 +215,11 @@ class FeatureScaling:
         weights: of the utility, in the order of ``GoalWeights`` [22].
         every: the robot may communicate every so many steps, besides when it is overdue.
         after: minimum steps since the last exchange with a linked robot before doing so.
+        reads_sensor: whether the context has the robot's own sensor.
     """
 
-    def __init__(self, weights: Array, every: int, after: int) -> None:
-        self.every, self.after = every, after
+    def __init__(self, weights: Array, every: int, after: int, reads_sensor: bool = False) -> None:
+        self.every, self.after, self.reads_sensor = every, after, reads_sensor
         self._utility = Utility(weights)
 
     def __call__(self, found: Candidates) -> GoalFeatures:
@@ -237,7 +239,11 @@ class FeatureScaling:
             still, choices, prior = _STAY, [MAX_FRONTIERS + own.robots + 1], _NO_PRIOR
         visited = _of_visits(weighed.mates, visits)
         context = _context(own, weighed.links, weighed.mates.unshared, weighed.moves)
-        return GoalFeatures(places, weighed.pairs, visited, still, context, choices, prior)
+        if self.reads_sensor:
+            context += [_share(getattr(own, name), HALVES[name]) for name in SENSOR]
+        return GoalFeatures(
+            places, weighed.pairs, visited, still, np.array(context, np.float32), choices, prior
+        )
 
     def weigh(self, found: Candidates) -> Weighed:
         """The utility of the places to go to, and what it follows from."""
@@ -367,11 +373,11 @@ def _talk(mates: _Mates, links: _Links, due: bool) -> Array:
     )
 
 
-def _context(own: Context, links: _Links, unshared: Array, moves: Array) -> Array:
+def _context(own: Context, links: _Links, unshared: Array, moves: Array) -> list[float]:
     """``GoalFeatures.context``."""
     share = float((unshared / (unshared + HALVES["unshared"])).sum())
     nearest = float(moves[0]) if len(moves) else math.inf
-    context = (
+    return [
         _share(own.step * own.robots / max(own.cells, 1), HALVES["time"]),
         len(moves) / MAX_FRONTIERS,
         own.known_cells / max(own.cells, 1),
@@ -382,5 +388,4 @@ def _context(own: Context, links: _Links, unshared: Array, moves: Array) -> Arra
         own.refused,
         share / max(own.robots - 1, 1),
         NEAR_MOVES / (NEAR_MOVES + nearest),
-    )
-    return np.array(context, np.float32)
+    ]

@@ -15,6 +15,7 @@ from marl_explore.config.goals import (
     MATE_SIZE,
     PAIR_SIZE,
     PLACE,
+    SENSOR,
     STILL_SIZE,
 )
 from marl_explore.robot.candidates import Candidates
@@ -35,7 +36,8 @@ class GoalNetwork:
     Args:
         weights: of a ``GoalActor`` by name, float32.
         options: ``code_width``, ``pair_width``, ``refinement``, ``home_cells``,
-            ``communicate_every`` and ``communicate_after`` of ``policies.networks.Goals``.
+            ``communicate_every``, ``communicate_after`` and, if it is there, ``reads_sensor`` of
+            ``policies.networks.Goals``.
 
     Raises:
         ValueError: when an option is not a number in its range, or a weight is missing, has
@@ -49,18 +51,22 @@ class GoalNetwork:
         require_integer("communicate_after", options["communicate_after"], 0)
         check_type("refinement", options["refinement"], float)
         require_positive("refinement", options["refinement"])
-        _check_shapes(weights, options["code_width"], options["pair_width"])
+        reads_sensor = options.get("reads_sensor", False)
+        check_type("reads_sensor", reads_sensor, bool)
+        own = CONTEXT_SIZE + len(SENSOR) * reads_sensor
+        _check_shapes(weights, options["code_width"], options["pair_width"], own)
         self.features = FeatureScaling(
             weights["encoder.features.weights"],
             options["communicate_every"],
             options["communicate_after"],
+            reads_sensor,
         )
         self._pair = _Layer.split(weights, "encoder.pair.0", _ABOUT)
         self._beside = np.ascontiguousarray(weights["encoder.pair.0.weight"][:, _BESIDE])
         self._second = _Layer(weights, "encoder.pair.2")
-        self._frontier = _frontier_weight(weights)
+        self._frontier = _frontier_weight(weights, own)
         contexts = ("encoder.frontier.0", "encoder.mate.0", "encoder.still.0")
-        self._contexts = [_Layer.split(weights, name, np.s_[-CONTEXT_SIZE:]) for name in contexts]
+        self._contexts = [_Layer.split(weights, name, np.s_[-own:]) for name in contexts]
         self._mate = weights["encoder.mate.0.weight"][:, :MATE_SIZE]
         self._still = weights["encoder.still.0.weight"][:, :STILL_SIZE]
         self._code = _Layer(weights, "encoder.code.0")
@@ -157,22 +163,22 @@ def _rectified(values: Array) -> Array:
     return np.maximum(values, 0, out=values)
 
 
-def _frontier_weight(weights: Weights) -> Array:
+def _frontier_weight(weights: Weights, own: int) -> Array:
     """What multiplies the features of frontiers as they are computed, and the codes of pairs."""
     weight = weights["encoder.frontier.0.weight"]
-    pooled = weight[:, FRONTIER_SIZE:-CONTEXT_SIZE]
+    pooled = weight[:, FRONTIER_SIZE:-own]
     places = np.zeros((len(weight), len(COMPUTED)), np.float32)
     places[:, _PLACES] = weight[:, :FRONTIER_SIZE]
     return np.concatenate((places, pooled), 1)
 
 
-def _check_shapes(weights: Weights, width: int, pair: int) -> None:
+def _check_shapes(weights: Weights, width: int, pair: int, own: int) -> None:
     layers: dict[str, tuple[int, ...]] = {
         "encoder.pair.0": (pair, PAIR_SIZE),
         "encoder.pair.2": (pair, pair),
-        "encoder.frontier.0": (width, FRONTIER_SIZE + 2 * pair + CONTEXT_SIZE),
-        "encoder.mate.0": (width, MATE_SIZE + CONTEXT_SIZE),
-        "encoder.still.0": (width, STILL_SIZE + CONTEXT_SIZE),
+        "encoder.frontier.0": (width, FRONTIER_SIZE + 2 * pair + own),
+        "encoder.mate.0": (width, MATE_SIZE + own),
+        "encoder.still.0": (width, STILL_SIZE + own),
         "encoder.code.0": (width, width),
         "score.0": (width, 3 * width),
         "score.2": (1, width),

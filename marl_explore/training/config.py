@@ -19,6 +19,7 @@ from marl_explore.config.constants import Ability
 from marl_explore.config.fields import check_types
 from marl_explore.policies.networks import MLP, CriticInput, Network, NetworkSettings
 from marl_explore.policies.networks.ablation import require_abilities
+from marl_explore.training.worlds import random_world
 
 Algorithm = Literal["happo", "mappo", "ippo"]
 Precision = Literal["float32", "bfloat16"]
@@ -51,9 +52,10 @@ class TrainConfig(NetworkSettings):
     """Input of the critic: the joint observation (as in the paper) or the true state."""
     scenes: tuple[str, ...] = ()
     """Kinds of arenas, each with a number of robots, that train side by side in equal shares, such
-    as uniform/3 uniform-16/4 open-24/6 (kinds of any size may have another side than ``arena``);
-    empty: ``arenas`` alone. The actors must be shared and choose among
-    goals; ``arena`` and ``arenas`` are then for validation."""
+    as uniform/3 uniform-16/4 open-24/6 (kinds of any size may have another side than ``arena``),
+    and uniform-16/4@7 in the random world of number 7 (``worlds.random_world``); empty: ``arenas``
+    alone. The actors must be shared and choose among goals; ``arena`` and ``arenas`` are then for
+    validation."""
     episodes: int = 5000
     """Length of training, n_e (episodes of episode_steps steps)."""
     episode_steps: int = 200
@@ -172,12 +174,19 @@ class TrainConfig(NetworkSettings):
         return [self._in_scene(scene, share) for scene in self.scenes]
 
     def _in_scene(self, scene: str, num_envs: int) -> TrainConfig:
-        arenas, _, robots = scene.rpartition("/")
+        place, _, world = scene.partition("@")
+        arenas, _, robots = place.rpartition("/")
         require(
             arenas != "" and robots.isdecimal() and int(robots) > 0,
             "scenes",
             scene,
             "it must be a kind of arenas and a number of robots, such as uniform/4 or uniform-16/4",
+        )
+        require(
+            world.isdecimal() or "@" not in scene,
+            "scenes",
+            scene,
+            "the number of a world must follow @, such as in uniform/4@7",
         )
         arena = replace(self.arena, num_agents=int(robots))
         kind, _, side = arenas.rpartition("-")
@@ -186,6 +195,10 @@ class TrainConfig(NetworkSettings):
         arena = arena if arenas in ANY_SIZE else fit(arena, arenas)
         own = arena.num_agents
         require(int(robots) == own, "scenes", scene, f"{arenas} has {own} robots of its own")
+        if world:
+            arena = random_world(int(world), arena)
+            brings = arenas not in ANY_SIZE and fit(arena, arenas) != arena
+            require(not brings, "scenes", scene, f"{arenas} has a world of its own")
         return replace(
             self,
             arena=arena,

@@ -96,6 +96,7 @@ def test_settings_out_of_range_are_refused(flag, value, message):
 
 def test_a_policy_that_does_not_fit_says_what_would():
     with pytest.raises(ValueError, match=r"sees 3 x 3 cells, .* from 0.5303 to below 0.8839 m"):
-        find_policy("best", ArenaConfig(cell_size=0.25, sensing_range=5))
+        find_policy("paper-mlp-case2", ArenaConfig(cell_size=0.25, sensing_range=5))
+    find_policy("best", ArenaConfig(cell_size=0.25, sensing_range=5))
     for reach in (0.5304, 0.8838):
-        find_policy("best", ArenaConfig(cell_size=0.25, sensing_range=reach))
+        find_policy("paper-mlp-case2", ArenaConfig(cell_size=0.25, sensing_range=reach))

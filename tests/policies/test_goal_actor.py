@@ -16,6 +16,7 @@ from marl_explore.config.constants import (
 )
 from marl_explore.config.goals import PRIOR
 from marl_explore.core.grid import COMMUNICATE, NUM_DIRECTIONS, STAY
+from marl_explore.evaluation.episodes import play
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.planners import GoalUtility
 from marl_explore.planners.goal_utility import place_terms
@@ -189,6 +190,64 @@ def test_one_actor_works_for_any_team_in_any_arena(robots, height, width):
     arena = ArenaConfig(num_agents=robots, height=height, width=width)
     result = evaluate(ArgmaxPolicy(a_policy(trained=False)), arena, num_arenas=6, steps=150)
     assert result["complete"] == 1
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"sensing_range": 3.0, "sensing_shape": "disc", "line_of_sight": True, "num_agents": 2},
+        {"sensing_range": (1.1, 2.0), "move_period": (1, 2), "num_agents": 2},
+        {"line_of_sight": True, "message_loss": 0.3, "num_walkers": 2, "num_agents": 5},
+    ],
+    ids=["lidars", "robots that differ", "the same square, but not through obstacles"],
+)
+def test_one_actor_works_with_any_sensor(settings):
+    """Its features are those of the sensors that there are, whatever it was trained with."""
+    arena = ArenaConfig(height=9, width=10, **settings)
+    policy, born_there = a_policy(), a_policy(arena)
+    born_there.init_from(policy)
+    here = policy.in_world(arena)
+    assert here.actors[0] is policy.actors[0]
+    env = make_env(arena, num_envs=4, features=())
+    for number, td in enumerate(play(ArgmaxPolicy(policy), env.base_env, 20)):
+        torch.manual_seed(number)
+        expected = born_there(td.clone())["agents", "action"]
+        torch.manual_seed(number)
+        assert here(td.clone())["agents", "action"].equal(expected)
+    assert evaluate(policy, arena, num_arenas=4, steps=200)["complete"] == 1
+
+
+def test_robots_have_the_actors_that_they_need():
+    """One each, or one of their type."""
+    own = PolicyConfig(ARENA, Goals(code_width=8, pair_width=4))
+    with pytest.raises(ValueError, match="the policy has 3 actors, and the team 2 robots"):
+        Policy(own, own.make_actors()).in_world(ArenaConfig(num_agents=2))
+    mixed = ArenaConfig(num_agents=3, sensing_range=(1.1, 2.0, 2.0))
+    by_type = PolicyConfig(mixed, own.network, by_type=True)
+    policy = Policy(by_type, by_type.make_actors())
+    larger = ArenaConfig(num_agents=5, sensing_range=(1.1, 2.0, 2.0, 2.0, 2.0))
+    assert policy.in_world(larger).config.groups == ((0,), (1, 2, 3, 4))
+    with pytest.raises(ValueError, match="has 2 actors, and the team 1 types of robots"):
+        policy.in_world(ARENA)
+
+
+def test_a_policy_of_another_world_says_how_it_gets_into_this_one():
+    env = ExplorationEnv(ArenaConfig(num_agents=3, sensing_range=2.0))
+    with pytest.raises(ValueError, match=r"fov_radius=1, .* 5 x 5 cells: Policy.in_world is for"):
+        a_policy()(env.reset())
+
+
+def test_robots_that_read_their_sensor_differ_by_it():
+    arena = ArenaConfig(num_agents=3, sensing_range=(1.1, 2.0, 2.0))
+    for reads in (False, True):
+        policy = a_policy(arena, reads_sensor=reads)
+        scale = policy.actors[0].encoder.features
+        own = scale(rows_of(episode(policy, arena))).context[:, 10:]
+        assert own.shape[1] == 2 * reads
+        if reads:
+            assert own.unique(dim=0).tolist() == [pytest.approx([1 / 5, 9 / 73])]
+            other = scale(rows_of(episode(policy, arena), robot=1)).context[:, 10:]
+            assert other.unique(dim=0).tolist() == [pytest.approx([2 / 6, 25 / 89])]
 
 
 def test_its_own_most_likely_choices_need_no_sampling():

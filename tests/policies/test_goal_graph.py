@@ -11,9 +11,9 @@ from marl_explore.policies.goal_graph import GoalGraph
 from tests.helpers.goal_policies import goal_policy
 
 
-@pytest.mark.parametrize("team", [1, 2, 5])
-def test_logits_are_the_actors(team):
-    actor = goal_policy().actor_of(0)
+@pytest.mark.parametrize(("team", "reads_sensor"), [(1, False), (2, True), (5, False)])
+def test_logits_are_the_actors(team, reads_sensor):
+    actor = goal_policy(reads_sensor=reads_sensor).actor_of(0)
     found = example_candidates(20, team, steps=30)
     choice, logits = GoalGraph(actor)(*found)
     with torch.no_grad():

@@ -194,6 +194,11 @@ OPTIONS = {
         ({"options": OPTIONS | {"communicate_after": "4"}}, "communicate_after='4'"),
         ({"options": OPTIONS | {"refinement": 0.0}}, "refinement=0.0 is not allowed"),
         ({"options": OPTIONS | {"refinement": "4"}}, "refinement='4' is not allowed"),
+        ({"options": OPTIONS | {"reads_sensor": 1}}, "reads_sensor=1 is not allowed"),
+        (
+            {"options": OPTIONS | {"reads_sensor": True}},
+            r"of shape \(48, 60\) must have \(48, 62\)",
+        ),
         ({"options": OPTIONS | {"code_width": 32}}, r"of shape \(48, 60\) must have \(32, 60\)"),
         ({"ablate": ["communication"]}, "ablate=.* is not allowed"),
         ({"shared": False}, "robot 1 does not fit its spec"),

@@ -182,6 +182,7 @@ SCOUTS_AND_MAPPERS = {
         ("uniform", SCOUTS_AND_MAPPERS),
         (Rooms, {**LIDAR, **SCOUTS_AND_MAPPERS, "wall_loss_db": 6.0}),
         (Caves, {**LIDAR, **SCOUTS_AND_MAPPERS, "shared": False}),
+        (Caves, {**LIDAR, **SCOUTS_AND_MAPPERS, "reads_sensor": True}),
     ],
 )
 def test_sensors_of_all_kinds(arenas, options, tmp_path):

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 from marl_explore.policies.actors import CHOICE, CHOICE_LOG_PROB
 from marl_explore.training.scenes import join_scenes
 from marl_explore.training.trainer import Trainer
+from marl_explore.training.worlds import random_world
 from tests.helpers.configs import BY_TYPE, NETWORKS, tiny
 
 SCENES = tiny(
@@ -40,6 +41,15 @@ def test_kinds_of_any_size_may_have_another_side():
         ("uniform-v2", 14, 14),
         ("corridor-24", 24, 24),
     ]
+
+
+def test_a_scene_may_be_in_a_random_world():
+    scenes = ("uniform-14/3@5", "rooms-32/4@5", "uniform-14/3")
+    here, rooms, paper = (one.arena for one in replace(SCENES, scenes=scenes).scene_configs)
+    size = replace(paper, obstacle_density=0.1)
+    assert here == random_world(5, size) != size
+    assert (rooms.height, rooms.obstacle_density) == (32, 0.15)
+    assert rooms.sensing_shape == here.sensing_shape
 
 
 def test_padding_changes_no_log_probability_entropy_or_value():
@@ -112,6 +122,9 @@ def test_a_run_resumes_to_the_last_bit(config):
         ({"scenes": ("attic-12/2", "uniform/2")}, "attic-12"),
         ({"scenes": ("uniform-1/2", "uniform/2")}, "1 x 1 cells"),
         ({"scenes": ("uniform-/2", "uniform/2")}, "uniform-"),
+        ({"scenes": ("uniform/2@", "uniform/2")}, "scenes='uniform/2@' .* number of a world"),
+        ({"scenes": ("uniform/2@-1", "uniform/2")}, "number of a world must follow @"),
+        ({"scenes": ("lidar-32/4@1", "uniform/2")}, "lidar-32 has a world of its own"),
         ({"scenes": ("lidar-32/2", "uniform/2")}, "scenes='lidar-32/2' .* 4 robots of its own"),
         ({"scenes": ("uniform/2", *(f"uniform/{n}" for n in (3, 4, 5)))}, "num_envs=6 .* 4 scenes"),
         ({"algorithm": "happo"}, "scenes=.* it needs algorithm='mappo'"),

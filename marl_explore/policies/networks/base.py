@@ -30,6 +30,8 @@ class Network(ABC):
     """Parts of the observation that its actors read (``transforms.features.FEATURES``)."""
     any_team: ClassVar[bool] = False
     """Whether a shared actor works for any number of robots."""
+    any_sensor: ClassVar[bool] = False
+    """Whether its actors work with any sensors: what they read is in units of the robot's own."""
     sees: ClassVar[str] = "own FOV, FPR, NET"
     """The information that a robot's decisions use, as text."""
     chooses: ClassVar[Literal["moves", "goals"]] = "moves"

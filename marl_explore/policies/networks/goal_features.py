@@ -24,6 +24,7 @@ from marl_explore.config.goals import (
     NEAR_MOVES,
     PLACE,
     PRIOR,
+    SENSOR,
     SMALL_POCKET,
     STILL_SIZE,
     TEAM,
@@ -66,7 +67,7 @@ class GoalFeatures(NamedTuple):
     still: Tensor
     """[R, 2, STILL_SIZE]."""
     context: Tensor
-    """[R, CONTEXT_SIZE]."""
+    """[R, CONTEXT_SIZE], followed by ``SENSOR`` where the sensor is read."""
     valid: Tensor
     """[R, 24 + N + 2]."""
     prior: Tensor
@@ -79,6 +80,7 @@ class FeatureScaling(nn.Module):
     Args:
         every: robots may communicate every so many steps, besides when it is overdue.
         after: minimum steps since the last exchange with a linked robot before doing so.
+        reads_sensor: whether the context has the robot's own sensor.
     """
 
     weights: Tensor
@@ -86,9 +88,9 @@ class FeatureScaling(nn.Module):
     shared_halves: Tensor
     order: Tensor
 
-    def __init__(self, every: int, after: int) -> None:
+    def __init__(self, every: int, after: int, reads_sensor: bool = False) -> None:
         super().__init__()
-        self.every, self.after = every, after
+        self.every, self.after, self.reads_sensor = every, after, reads_sensor
         # saved with the policy: its prior does not follow later changes of the planner
         self.register_buffer("weights", weight_tensor(PRIOR).to(torch.get_default_dtype()))
         for name, numbers in _BUFFERS.items():
@@ -216,13 +218,17 @@ class FeatureScaling(nn.Module):
         stay = (*[zero] * (STILL_SIZE - 1), one)
         return torch.stack((*talk, *stay), -1).unflatten(-1, (2, STILL_SIZE))
 
-    @staticmethod
     def _context(
-        own: dict[str, Tensor], linked: Tensor, filled: Tensor, unshared: Tensor, nearest: Tensor
+        self,
+        own: dict[str, Tensor],
+        linked: Tensor,
+        filled: Tensor,
+        unshared: Tensor,
+        nearest: Tensor,
     ) -> Tensor:
         """``GoalFeatures.context``."""
         number, cells = filled.sum(-1), own["cells"].clamp_min(1)
-        parts = (
+        parts = [
             share(own["step"] * own["robots"] / cells, HALVES["time"]),
             number / MAX_FRONTIERS,
             own["known_cells"] / cells,
@@ -233,7 +239,9 @@ class FeatureScaling(nn.Module):
             own["refused"],
             share(unshared, HALVES["unshared"]).sum(-1) / (own["robots"] - 1).clamp_min(1),
             NEAR_MOVES / (NEAR_MOVES + nearest.squeeze(-1)),
-        )
+        ]
+        if self.reads_sensor:
+            parts += [share(own[name], HALVES[name]) for name in SENSOR]
         return torch.stack([part.to(linked) for part in parts], -1)
 
     def _choices(

@@ -19,6 +19,7 @@ from marl_explore.config.goals import (
     FRONTIER_SIZE,
     MATE_SIZE,
     PAIR_SIZE,
+    SENSOR,
     STILL_SIZE,
 )
 from marl_explore.planners.goal_moves import still_choices
@@ -48,10 +49,13 @@ class Goals(Network):
     """Robots may communicate every so many steps of a shared clock, besides when it is overdue."""
     communicate_after: int = 4
     """Minimum steps since the last exchange with a linked robot before doing so."""
+    reads_sensor: bool = False
+    """Whether a robot also reads the size of its own sensor: which type it is, in mixed teams."""
 
     name = "goals"
     features = Candidates._fields
     any_team = True
+    any_sensor = True
     sees = "own map, positions of robots in range and where it saw them last, what was exchanged"
     chooses = "goals"
     vmaps = False
@@ -76,6 +80,11 @@ class Goals(Network):
             refinement=1.0,
             home_cells=1,
         )
+
+    @property
+    def context_size(self) -> int:
+        """Numbers of features of a robot itself."""
+        return CONTEXT_SIZE + len(SENSOR) * self.reads_sensor
 
     def make_actor(self, arena: ArenaConfig) -> GoalActor:
         """As ``Network.make_actor``."""
@@ -111,12 +120,14 @@ class GoalEncoder(nn.Module):
     def __init__(self, options: Goals) -> None:
         super().__init__()
         self.width = options.code_width
-        self.features = FeatureScaling(options.communicate_every, options.communicate_after)
-        width, pair = options.code_width, options.pair_width
+        self.features = FeatureScaling(
+            options.communicate_every, options.communicate_after, options.reads_sensor
+        )
+        width, pair, own = options.code_width, options.pair_width, options.context_size
         self.pair = _layers(PAIR_SIZE, pair, pair)
-        self.frontier = _layers(FRONTIER_SIZE + 2 * pair + CONTEXT_SIZE, width)
-        self.mate = _layers(MATE_SIZE + CONTEXT_SIZE, width)
-        self.still = _layers(STILL_SIZE + CONTEXT_SIZE, width)
+        self.frontier = _layers(FRONTIER_SIZE + 2 * pair + own, width)
+        self.mate = _layers(MATE_SIZE + own, width)
+        self.still = _layers(STILL_SIZE + own, width)
         self.code = _layers(width, width)
 
     def forward(self, candidates: Candidates) -> tuple[GoalFeatures, _Codes]:
@@ -228,7 +239,7 @@ class GoalCritic(nn.Module):
         super().__init__()
         self.robot = robot
         self.encoder = GoalEncoder(options)
-        inputs = 2 * (2 * options.code_width + CONTEXT_SIZE)
+        inputs = 2 * (2 * options.code_width + options.context_size)
         layers = nn.Sequential(nn.Linear(inputs, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
         self.layers = initialize(layers.append(nn.Linear(64, 1)), CRITIC_GAIN)
 
