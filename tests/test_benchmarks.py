@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,15 +16,17 @@ from benchmarks import (
     explorers,
     frontier,
     locks,
+    messages,
     on_board,
     planners,
+    robustness,
     scaling,
     training,
     worlds,
 )
 from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.faults import lines, mutants
-from marl_explore import ArenaConfig, find_policy, record
+from marl_explore import ArenaConfig, ExplorationEnv, find_policy, record
 from marl_explore.core.frontier import feature_table
 from marl_explore.evaluation import metrics
 from marl_explore.policies.networks import MLP
@@ -91,6 +95,86 @@ def test_the_benchmark_of_completion_agrees_with_a_record():
     assert count.communications / count.actions == pytest.approx(share)
     line = completion.row("paper-12/3:4", "again", count, count)
     assert line.endswith("+0.00 [+0.00, +0.00], +0.0 %")
+
+
+def test_the_price_of_faults_is_measured_on_the_same_arenas(tmp_path):
+    lost, assumed = robustness.FAULTS[0], robustness.FAULTS[-1]
+    faults = (replace(lost, levels=(0.0, 0.5)), replace(assumed, levels=(1.0, 0.5, 1.5)))
+    results = robustness.measure(["goal-utility"], num_arenas=3, seed=1, faults=faults)
+    base, lossy = results["goal-utility"][lost.name]
+    assert results["goal-utility"][assumed.name][0] is base
+    again = record(
+        find_policy("goal-utility", robustness.BASE),
+        robustness.BASE,
+        3,
+        600,
+        seed=1,
+        arenas="mixed",
+    )
+    expected = metrics.steps_to(again.maps.known_targets.amax(-1), again.num_targets, 1.0)
+    assert base.to_100.tolist() == expected.tolist()
+    assert not np.array_equal(lossy.to_100, base.to_100)
+    assert all(one.finished == 1 for one in results["goal-utility"][assumed.name])
+    lines = robustness.table(results, faults).splitlines()
+    assert len(lines) == 2 + 1 + 1 + 2
+    assert lines[3].startswith(f"| {lost.name} | 0.5 | {lossy.to_100.mean():.1f} (")
+    robustness.figure(results, tmp_path / "faults.png", faults)
+    assert (tmp_path / "faults.png").stat().st_size > 10_000
+
+
+def test_robots_with_a_wrong_idea_of_their_sensors_get_a_view_of_that_size():
+    """Wider than it is, the margin is never seen; narrower, it is cut off."""
+    seen = []
+    for factor in (0.5, 2.0):
+        policy = robustness.Assuming("goal-utility", robustness.BASE, factor)
+        policy.policy = lambda td: seen.append(td["agents", "observation", "fov"]) or td
+        now = ExplorationEnv(robustness.BASE).reset()
+        whole = now["agents", "observation", "fov"]
+        policy(now)
+        assert now["agents", "observation", "fov"] is whole
+    narrow, wide = seen
+    assert narrow.equal(whole[..., 4:-4, 4:-4])
+    assert wide[..., 7:-7, 7:-7].equal(whole)
+    assert wide.sum() - whole.sum() == 4 * (29 * 29 - 15 * 15)
+
+
+def slow_delta_bytes(episodes, arena):
+    """Message by message: 10 bits for a cell and its number, at most 2 for each of 144 cells."""
+    total = 0
+    complete = int(episodes.num_targets[arena])
+    for robot in range(4):
+        told = 0
+        for step in range(episodes.horizon):
+            if int(episodes.maps.known_targets[arena, step].max()) == complete:
+                break
+            if episodes.action[arena, step, robot] == 9:
+                known = int(episodes.maps.known_cells[arena, step, robot])
+                total += min(36, math.ceil((known - told) * 10 / 8))
+                told = known
+    return total
+
+
+def test_what_communication_brings_is_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr(messages, "TIMERS", (4, 64))
+    results = messages.measure(["nearest-timer", "best:argmax"], "paper-12/4:6", seed=1)
+    for cases in results.values():
+        silent, radio, free = (
+            cases[case] for case in (messages.NEVER, messages.RADIO, messages.UNLIMITED)
+        )
+        assert silent.whole.sum() == silent.delta.sum() == 0
+        assert silent.to_100.mean() > radio.to_100.mean() > free.to_100.mean()
+        often, seldom = (cases[f"every {timer} steps"] for timer in (4, 64))
+        assert often.whole.mean() >= seldom.whole.mean() > 0
+        assert (radio.delta <= radio.whole).all()
+    config = ArenaConfig()
+    one = record(find_policy("nearest-timer", config), config, 6, 300, seed=1)
+    known = results["nearest-timer"][messages.RADIO]
+    expected = metrics.bytes_sent(one, metrics.before_completion(one)) / 4
+    assert known.whole.tolist() == expected.tolist()
+    assert known.delta.tolist() == [slow_delta_bytes(one, arena) / 4 for arena in range(6)]
+    assert len(messages.table({"here": results}).splitlines()) == 2 + 2 * 5
+    messages.figure({"here": results}, tmp_path / "messages.png")
+    assert (tmp_path / "messages.png").stat().st_size > 10_000
 
 
 def test_the_benchmark_of_wider_worlds_runs():
