@@ -2,6 +2,7 @@
 
 python recipes/search_goal_utility.py --generations 40 --out goal-utility.json
 python recipes/search_goal_utility.py --start goal-utility.json --generations 200 --out prior.json
+python recipes/search_goal_utility.py --tasks wide --out wide-utility.json
 
 Every generation plays each candidate on the same newly drawn training arenas of several suites and
 team sizes; its loss is the mean number of steps to a complete map, relative to that of the weights
@@ -14,6 +15,7 @@ import json
 import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -46,6 +48,13 @@ TASKS = (
     ("cave-48", 4, 8),
 )
 """Suite, robots, and arenas per generation."""
+WIDE_TASKS = (
+    ("lidar-32", 4, 16),
+    ("radio-32", 4, 16),
+    ("mixed-team-32", 4, 16),
+    ("faulty-32", 6, 16),
+)
+"""The same beyond the paper's world."""
 PATIENCE = 1.6
 """Episodes end after so many times the mean number of steps of the weights at the start."""
 START = GoalWeights(
@@ -117,6 +126,8 @@ class Arguments:
     """File of an earlier search, from whose weights to start."""
     first: int = 1000
     """Number of the first training arena; searches one after the other take others."""
+    tasks: Literal["paper", "wide"] = "paper"
+    """The arenas: in the paper's world, or in the four suites of wider ones."""
     out: Path = Path("goal-utility.json")
 
 
@@ -147,6 +158,7 @@ def play(
     start = TensorDict(
         {
             "obstacles": repeated(drawn["obstacles"]),
+            "draw_key": repeated(drawn["draw_key"]),
             "agents": {"position": repeated(drawn["agents", "position"])},
         },
         batch_size=[batch],
@@ -154,7 +166,7 @@ def play(
     env = ExplorationEnv(config, num_envs=batch, max_steps=steps, terminate_at_coverage=1.0)
     observed = env.reset(start, set_state=True)
     each = weights.repeat_interleave(arenas, 0).unsqueeze(1)  # of all robots of an arena
-    planner = GoalUtility(config.sight, each)
+    planner = GoalUtility(config.sight, each, config)
     needed = torch.full((batch,), steps + 1)
     for step in range(1, steps + 1):
         observed = step_mdp(env.step(planner(observed)))
@@ -189,17 +201,18 @@ def main(arguments: Arguments) -> None:
         seed=arguments.seed,
     )
     start = read_start(arguments.start)
-    usual = [play(start[None], suite, n, 0, 4 * k).double().mean() for suite, n, k in TASKS]
+    tasks = WIDE_TASKS if arguments.tasks == "wide" else TASKS
+    usual = [play(start[None], suite, n, 0, 4 * k).double().mean() for suite, n, k in tasks]
     most = [round(PATIENCE * float(steps)) for steps in usual]
     means, history, begun = [], [], time.perf_counter()
     for generation in range(arguments.generations):
         points = [search.ask() for _ in range(arguments.population)]
         weights = torch.cat((as_weights(start, np.stack(points)), start[None]))
         loss = np.zeros(arguments.population)
-        for (suite, robots, arenas), steps in zip(TASKS, most, strict=True):
+        for (suite, robots, arenas), steps in zip(tasks, most, strict=True):
             first = arguments.first + 1000 * generation
             needed = play(weights, suite, robots, first, arenas, steps).double().mean(-1)
-            loss += (needed[:-1] / needed[-1]).numpy() / len(TASKS)
+            loss += (needed[:-1] / needed[-1]).numpy() / len(tasks)
         search.tell([*zip(points, loss.tolist(), strict=True)])
         means.append(search.mean.copy())
         history.append({"best": loss.min(), "mean": loss.mean(), "spread": float(np.std(points))})
@@ -207,7 +220,7 @@ def main(arguments: Arguments) -> None:
         names = [field.name for field in fields(GoalWeights)]
         result = {n: round(value, 4) for n, value in zip(names, found[0].tolist(), strict=True)}
         steps_at_start = [float(steps) for steps in usual]
-        record = {"weights": result, "tasks": TASKS, "usual_steps": steps_at_start}
+        record = {"weights": result, "tasks": tasks, "usual_steps": steps_at_start}
         arguments.out.write_text(json.dumps(record | {"generations": history}, indent=1))
         seconds = time.perf_counter() - begun
         print(
