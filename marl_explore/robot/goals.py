@@ -44,6 +44,12 @@ def goal_finder(situation: Situation, sight: Sight) -> Callable[[], GoalTable]:
     return lambda: plain_goal_table(plain, sight)
 
 
+def uses_kernels() -> bool:
+    """Whether all that robots compute in C where possible is computed so, not more slowly."""
+    others: tuple[native.Kernel, ...] = ("paths", "frontier")
+    return uses_kernel() and not any(map(native.missing, others))
+
+
 def uses_kernel() -> bool:
     """Whether candidates are found in C; numpy finds the same ones more slowly."""
     needed: tuple[native.Kernel, ...] = ("goals", "sight", "discoveries")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -118,6 +118,8 @@ def sight(
 def returns(scan: Scan, pose: Pose, robots: Iterable[Disc], model: BeamModel) -> Floats:
     """Where beams ended, in the arena's frame [P, 2] (metres); not those that met a robot.
 
+    Something too close to measure (-inf, REP 117) is as near as the lidar can measure.
+
     Args:
         scan: one turn of the lidar.
         pose: of the robot, when the scan was taken.
@@ -125,6 +127,9 @@ def returns(scan: Scan, pose: Pose, robots: Iterable[Disc], model: BeamModel) ->
         model: how beams vote.
     """
     eye = pose.of_sensor(scan.mount or model.mount)
+    ranges = np.asarray(scan.ranges, np.float64)
+    nearest = np.nextafter(scan.range_min, np.inf)
+    scan = replace(scan, ranges=np.where(np.isneginf(ranges), nearest, ranges))
     beams = _beams(scan, eye, robots, model)
     ends: Floats = (beams.heading * beams.length[:, None])[beams.returned] + (eye.x, eye.y)
     return ends

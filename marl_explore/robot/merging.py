@@ -13,13 +13,18 @@ from marl_explore.config.constants import UNKNOWN
 from marl_explore.config.fields import check_types
 from marl_explore.robot.evidence import Map
 
+FEWEST_CONTRADICTIONS = 3
+"""Of maps that mostly contradict each other: fewer may be robots that stood there."""
 _FAR_BETTER = 4
 """A moved map fits far better if it contradicts at most one cell in so many of before."""
 
 
 @dataclass(frozen=True)
 class MergeLimits:
-    """Which maps of other robots are refused; both limits must be exceeded."""
+    """Which maps of other robots are refused.
+
+    Those that exceed the first two limits, and those of which more than half contradict.
+    """
 
     contradictions: int = 5
     """Cells known in both maps that contradict each other."""
@@ -38,7 +43,8 @@ class MergeLimits:
     def exceeded(self, fit: Fit) -> bool:
         """Whether two maps contradict each other too much to be merged."""
         few = self.contradictions, self.share * fit.common
-        return fit.contradictions > max(few)
+        mostly = fit.contradictions >= FEWEST_CONTRADICTIONS and 2 * fit.contradictions > fit.common
+        return fit.contradictions > max(few) or mostly
 
 
 class Fit(NamedTuple):

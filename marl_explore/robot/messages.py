@@ -81,7 +81,8 @@ class Scan:
     stamp: float
     """Time of measurement (seconds)."""
     ranges: NDArray[np.floating]
-    """Distances [R] (metres); inf is no return, and NaN says nothing (REP 117)."""
+    """Distances [R] (metres); inf is no return, -inf is too near to measure, and NaN says nothing
+    (REP 117)."""
     angle_min: float = 0.0
     """Angle of the first beam in the lidar's frame, 0 ahead (radians)."""
     angle_increment: float = 2 * np.pi / 360
@@ -335,4 +336,4 @@ def require_robot(number: int, robots: int, what: str) -> None:
         ValueError: naming it.
     """
     if not (is_integer(number) and 0 <= number < robots):
-        raise ValueError(f"{what} of robot {number} is not allowed: 0 to {robots - 1}")
+        raise ValueError(f"{what} of robot {number!r} is not allowed: 0 to {robots - 1}")

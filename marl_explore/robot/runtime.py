@@ -22,7 +22,7 @@ from marl_explore.robot.clock import BarrierClock, Clock
 from marl_explore.robot.driving import ZERO, Velocity
 from marl_explore.robot.geometry import Disc, Frame, GridCell
 from marl_explore.robot.goal_actor import give_way
-from marl_explore.robot.goals import uses_kernel
+from marl_explore.robot.goals import uses_kernels
 from marl_explore.robot.guard import Guard
 from marl_explore.robot.jumps import JumpGuard
 from marl_explore.robot.knowledge import Knowledge
@@ -38,9 +38,9 @@ from marl_explore.robot.messages import (
     require_robot,
 )
 from marl_explore.robot.observation import Observation, complete, in_reach, observe, sides_of
-from marl_explore.robot.sensors import FutureStampError, Sensors
+from marl_explore.robot.sensors import Sensors
 from marl_explore.robot.settings import RobotSettings
-from marl_explore.robot.status import Reason, Status, named, status_of
+from marl_explore.robot.status import Reason, Status, named, of_refusal, status_of
 from marl_explore.robot.ways import step_aside
 from marl_explore.robot.wheels import Wheels
 
@@ -154,8 +154,8 @@ class RobotCore:
         self._passed: list[GridCell] = []
         self._shut: dict[GridCell, float] = {}
         self._chance = np.random.default_rng(robot)
-        self.refused_stamp: tuple[float, str] | None = None
-        """When its own data of another clock were last refused (seconds), and why."""
+        self.refused_data: tuple[float, Status] | None = None
+        """When its own scan or pose was last refused (seconds), and why."""
 
     @property
     def is_sensing(self) -> bool:
@@ -200,11 +200,11 @@ class RobotCore:
                 self.sensors.add_scan(event, now)
             else:
                 self.sensors.add_pose(event, now)
-        except FutureStampError as error:
+        except ValueError as error:
             if isinstance(event, Scan):
-                self.refused_stamp = now, f"its scan's {error}"
+                self.refused_data = now, of_refusal("scan", error)
             elif event.robot == self.robot:
-                self.refused_stamp = now, f"its pose's {error}"
+                self.refused_data = now, of_refusal("pose", error)
             raise
 
     def _check_place(self, intent: Intent, now: float) -> None:
@@ -351,7 +351,9 @@ class RobotCore:
         if own.action == COMMUNICATE:
             talking = {robot for robot, other in heard.items() if other.action == COMMUNICATE}
             self._partners[self.tick] = talking
-            self.mail.send(Share(self.robot, self.tick, self.knowledge.evidence), talking)
+            share = Share(self.robot, self.tick, self.knowledge.evidence)
+            # also to those who were not heard in time: their messages may only be late
+            self.mail.send(share, talking | missing)
             self._phase = self._exchange
         return True
 
@@ -482,7 +484,7 @@ class RobotCore:
             "moves given up for obstacles": self.wheels.obstacles,
             "moves given up for wheels": self.wheels.stalls,
             "jumps of the pose": self.jumps.jumps,
-            "numpy instead of the kernel": int(not uses_kernel()),
+            "numpy instead of the kernel": int(not uses_kernels()),
         }
 
     @property

@@ -7,7 +7,8 @@ from collections import deque
 from marl_explore.robot.geometry import Disc
 from marl_explore.robot.messages import Pose, Scan
 
-_KEPT = 64
+_KEPT = 512
+"""Poses of a robot: scans may be a second late, and poses come up to 400 times a second."""
 
 
 class FutureStampError(ValueError):
@@ -27,6 +28,8 @@ class Sensors:
         self.robot = robot
         self.max_pose_age, self.max_scan_age = max_pose_age, max_scan_age
         self.scan: Scan | None = None
+        self.arrived: dict[str, float] = {}
+        """When the last own "pose" and "scan" came (seconds), however old they were."""
         self._poses: dict[int, deque[Pose]] = {}
 
     def add_scan(self, scan: Scan, now: float) -> None:
@@ -36,6 +39,7 @@ class Sensors:
             ValueError: for a stamp in the future (``now`` is in seconds), or non-finite numbers.
         """
         self._check(scan, now)
+        self.arrived["scan"] = now
         if self.scan is None or scan.stamp >= self.scan.stamp or self._future(self.scan.stamp, now):
             self.scan = scan
 
@@ -46,6 +50,8 @@ class Sensors:
             ValueError: for a stamp in the future (``now`` is in seconds), or non-finite numbers.
         """
         self._check(pose, now)
+        if pose.robot == self.robot:
+            self.arrived["pose"] = now
         poses = self._poses.setdefault(pose.robot, deque(maxlen=_KEPT))
         while poses and self._future(poses[-1].stamp, now):  # the clock was set back
             poses.pop()

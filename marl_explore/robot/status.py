@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from marl_explore.robot.sensors import FutureStampError
 
 if TYPE_CHECKING:
     from marl_explore.robot.runtime import RobotCore
@@ -49,7 +51,7 @@ def named(robots: Iterable[int]) -> str:
 
 def status_of(core: RobotCore, now: float) -> Status:
     """What a robot does at a time (seconds), or why it stands still."""
-    fault = _of_clock(core, now) or _of_pose(core, now) or _of_scan(core, now)
+    fault = _of_pose(core, now) or _of_scan(core, now)
     if fault:
         return fault
     if core.jumps.is_checking:
@@ -75,20 +77,19 @@ def status_of(core: RobotCore, now: float) -> Status:
     return Status(Reason.EXPLORING, f"exploring, tick {core.tick}")
 
 
-def _of_clock(core: RobotCore, now: float) -> Status | None:
-    if core.refused_stamp is None:
-        return None
-    if abs(now - core.refused_stamp[0]) > core.settings.max_pose_age:  # clocks can be set back
-        return None
-    return Status(Reason.OTHER_CLOCK, f"stamps of another clock: {core.refused_stamp[1]}")
+def of_refusal(what: Literal["pose", "scan"], error: ValueError) -> Status:
+    """What the refusal of a robot's own pose or scan says about it."""
+    if isinstance(error, FutureStampError):
+        return Status(Reason.OTHER_CLOCK, f"stamps of another clock: its {what}'s {error}")
+    reason = Reason.NO_POSE if what == "pose" else Reason.NO_SCAN
+    return Status(reason, f"its {what} was refused: {error}")
 
 
 def _of_pose(core: RobotCore, now: float) -> Status | None:
-    pose, limit = core.sensors.pose, core.settings.max_pose_age
-    if pose is None:
-        return Status(Reason.NO_POSE, "no pose has arrived yet")
-    if abs(now - pose.stamp) > limit:
-        return Status(Reason.NO_POSE, f"its pose is {now - pose.stamp:.1f} s old, over {limit:g} s")
+    pose = core.sensors.pose
+    fault = _of_age(core, now, "pose", pose.stamp if pose else None)
+    if fault or pose is None:
+        return fault
     if not core.frame.inside(core.frame.cell(pose.x, pose.y)):
         where = f"({pose.x:.2f}, {pose.y:.2f}) m"
         return Status(Reason.OUTSIDE, f"its pose {where} is outside the arena")
@@ -96,9 +97,32 @@ def _of_pose(core: RobotCore, now: float) -> Status | None:
 
 
 def _of_scan(core: RobotCore, now: float) -> Status | None:
-    scan, limit = core.sensors.scan, core.settings.max_scan_age
-    if scan is None:
-        return Status(Reason.NO_SCAN, "no scan has arrived yet")
-    if abs(now - scan.stamp) > limit:
-        return Status(Reason.NO_SCAN, f"its scan is {now - scan.stamp:.1f} s old, over {limit:g} s")
-    return None
+    scan = core.sensors.scan
+    return _of_age(core, now, "scan", scan.stamp if scan else None)
+
+
+def _of_age(
+    core: RobotCore, now: float, what: Literal["pose", "scan"], stamp: float | None
+) -> Status | None:
+    """Why there is no pose or scan of which the stamp is near enough; None if there is one."""
+    reason, limit = Reason.NO_POSE, core.settings.max_pose_age
+    if what == "scan":
+        reason, limit = Reason.NO_SCAN, core.settings.max_scan_age
+    if core.refused_data:
+        when, why = core.refused_data
+        just_now = abs(now - when) <= core.settings.max_pose_age  # clocks can be set back
+        fails = stamp is None or abs(now - stamp) > limit
+        if just_now and (why.reason is Reason.OTHER_CLOCK or (fails and why.reason is reason)):
+            return why
+    if stamp is None:
+        return Status(reason, f"no {what} has arrived yet")
+    age = now - stamp
+    if abs(age) <= limit:
+        return None
+    if age < 0:
+        return Status(Reason.OTHER_CLOCK, f"its {what} is stamped {-age:.1f} s ahead of its clock")
+    arrived = core.sensors.arrived.get(what, stamp)
+    if abs(now - arrived) <= limit:
+        late = f"its {what} arrives with a stamp {age:.1f} s old, over {limit:g} s"
+        return Status(Reason.OTHER_CLOCK, f"stamps of another clock, or a slow network: {late}")
+    return Status(reason, f"its {what} is {age:.1f} s old, over {limit:g} s")

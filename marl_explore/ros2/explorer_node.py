@@ -24,6 +24,7 @@ from marl_explore.robot.explorer.grids import SIDE
 from marl_explore.ros2 import convert, displays
 from marl_explore.ros2.explorer_parameters import ExplorerParameters
 from marl_explore.ros2.listening import Listener
+from marl_explore.ros2.names import own_name, team_root
 from marl_explore.ros2.node import LATEST, ParameterNode, diagnostics, run, time_of
 from marl_explore.ros2.pose_sources import (
     POSES,
@@ -51,17 +52,20 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
 
     def __init__(self, check: bool = False) -> None:
         super().__init__("explorer_node", ExplorerParameters())
-        given, self.name = self.given, self.get_namespace().strip("/")
+        given, namespace = self.given, self.get_namespace()
+        self.name = own_name(namespace, given.team)
         self.core = given.make_core(self.name)
         self.poses = self._make_source()
         self.listeners = [self._listen(given.map_topic, MAPS, self._take_map)]
+        root = team_root(namespace, self.name)
+        self._mates = [f"{root}{mate}" for mate in self.core.team.mates]
         for mate in self.core.team.mates:
             for topic, kinds, take in (
                 (given.map_topic, MAPS, self._take_map),
                 (given.mate_pose_topic, POSES, self._take_pose),
                 (given.goal_topic, GOALS, self._take_goal),
             ):
-                self.listeners.append(self._listen(f"/{mate}/{topic}", kinds, take, mate))
+                self.listeners.append(self._listen(f"{root}{mate}/{topic}", kinds, take, mate))
         self._shown: tuple[Any, ...] | None = None
         self._states, self._dropped = Sightings(), 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -169,8 +173,13 @@ class ExplorerNode(ParameterNode[ExplorerParameters]):
         """Say what is there once all is, or after a while; the process ends with 0 or 1."""
         self._follow_publishers()
         goal = self.resolve_topic_name(self.given.goal_topic)
-        hears = None if self.count_subscribers(goal) else "no subscriber: is Nav2 running?"
-        found = [(goal, hears), (self.poses.name, self.poses.problem())]
+        heard_by = self.get_subscriptions_info_by_topic(goal)  # explorers of teammates listen, too
+        hears = any(info.node_namespace not in self._mates for info in heard_by)
+        found = [(goal, None if hears else "no subscriber: is Nav2 running?")]
+        found += [(self.poses.name, self.poses.problem())]
+        if self.get_parameter("use_sim_time").value:
+            ticks = self.count_publishers("/clock")
+            found += [("/clock", None if ticks else "no publisher, and use_sim_time is true")]
         found += [(listener.topic, listener.problem()) for listener in self.listeners]
         missing = any(problem for _, problem in found)
         if missing and time.monotonic() < self._until:

@@ -24,6 +24,27 @@ def require_team(team: Sequence[str]) -> None:
     require(len({*team}) == len(team), "team", team, "a robot is in it twice")
 
 
+def own_name(namespace: str, team: Sequence[str]) -> str:
+    """The robot of a team whose node has a namespace, such as "/robot_1" or "/fleet/robot_1".
+
+    Of no robot: the namespace without slashes around it.
+    """
+    fitting = [name for name in team if f"/{namespace.strip('/')}".endswith(f"/{name}")]
+    return max(fitting, key=len, default=namespace.strip("/"))
+
+
+def team_root(namespace: str, own: str) -> str:
+    """What stands before the namespaces of a team, with a slash after it: "/" or "/fleet/".
+
+    Args:
+        namespace: of the node, such as "/fleet/robot_1"; of one that runs elsewhere, anything else.
+        own: the robot's name in the team, such as "robot_1".
+    """
+    if namespace.endswith(f"/{own}"):
+        return namespace.removesuffix(own)
+    return "/"
+
+
 def require_topic(name: str, topic: str, in_team: bool = False) -> None:
     """Require the name of a topic; in a team a relative one, which each robot has."""
     allowed = "it must be a topic: letters, digits, _ and /, such as map"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from marl_explore.robot import Envelope, Pose, RobotCore, Scan
 from marl_explore.robot.driving import Velocity
+from marl_explore.robot.geometry import Mount
 from marl_explore.ros2 import convert
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -26,6 +29,8 @@ _KINDS = {
     "inbox": "std_msgs/msg/UInt8MultiArray",
     "cmd_vel": "geometry_msgs/msg/TwistStamped",
 }
+CHECKSUMS = "SHA256SUMS"
+"""File in the folder of a recording, as ``sha256sum`` writes it."""
 _ALLOWED: dict[str, tuple[str, ...]] = {name: (kind,) for name, kind in _KINDS.items()}
 _ALLOWED["cmd_vel"] += ("geometry_msgs/msg/Twist",)
 
@@ -43,6 +48,7 @@ class Recorder:
 
     def __init__(self, path: str | Path, team: Sequence[str], frame: str = "arena") -> None:
         self.team, self.frame = team, frame
+        self._path = Path(path)
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Any] = {}
         self._last = -1
@@ -58,6 +64,9 @@ class Recorder:
         traceback: TracebackType | None,
     ) -> None:
         self._writer.close()
+        files = sorted(file for file in self._path.iterdir() if file.name != CHECKSUMS)
+        lines = (f"{_digest(file)}  {file.name}\n" for file in files)
+        (self._path / CHECKSUMS).write_text("".join(lines))
 
     def receive(self, robot: int, event: Scan | Pose | Envelope, now: float) -> None:
         """Record that a robot receives an event; of poses, only its own are recorded.
@@ -98,6 +107,8 @@ def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
     """
     if not (Path(path) / "metadata.yaml").is_file():
         raise ValueError(f"{path} is not a recording: it has no metadata.yaml")
+    _check_sums(Path(path))
+    number = 0
     with ExitStack() as stack:
         try:  # rosbags raises whatever its parsers of YAML, MCAP and CDR raise
             reader = stack.enter_context(AnyReader([Path(path)], default_typestore=_TYPES))
@@ -109,10 +120,29 @@ def messages(path: str | Path) -> Iterator[tuple[str, float, Any]]:
                 connection, nanoseconds, data = next(found)
                 message = reader.deserialize(data, connection.msgtype)
             except StopIteration:
-                return
+                break
             except Exception as error:
                 raise _unreadable(path, error) from error
+            number += 1
             yield connection.topic, nanoseconds * 1e-9, message
+        if number != reader.message_count:
+            lost = ValueError(f"it has {number} of {reader.message_count} messages")
+            raise _unreadable(path, lost)
+
+
+def _check_sums(folder: Path) -> None:
+    """Compare the files of a recording of ``Recorder`` with their checksums."""
+    if not (folder / CHECKSUMS).is_file():
+        return  # MCAP files of ROS have checksums of their own
+    for line in (folder / CHECKSUMS).read_text(errors="replace").splitlines():
+        digest, _, name = line.partition("  ")
+        file = folder / Path(name).name
+        if not file.is_file() or _digest(file) != digest:
+            raise _unreadable(folder, ValueError(f"{file.name} is not as it was written"))
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _unreadable(path: str | Path, error: Exception) -> ValueError:
@@ -120,7 +150,11 @@ def _unreadable(path: str | Path, error: Exception) -> ValueError:
 
 
 def replay_recording(
-    path: str | Path, core: RobotCore, team: Sequence[str], frame: str = "arena"
+    path: str | Path,
+    core: RobotCore,
+    team: Sequence[str],
+    frame: str = "arena",
+    mount: Mount | None = None,
 ) -> int:
     """Run a robot on a recording.
 
@@ -132,6 +166,7 @@ def replay_recording(
         core: a new robot, with the policy and seed of the recorded one.
         team: namespaces of all robots, in the order of their numbers.
         frame: of poses; those in others were dropped, as by ``robot_node``.
+        mount: where the lidar was, of a robot that read it from tf; None: as the settings have it.
 
     Returns:
         How often it advanced.
@@ -145,7 +180,7 @@ def replay_recording(
         f"/{name}/pose": partial(_pose, robot=robot, frame=frame) for robot, name in enumerate(team)
     }
     take |= {
-        f"/{own}/scan": convert.to_scan,
+        f"/{own}/scan": lambda message: replace(convert.to_scan(message), mount=mount),
         f"/{own}/inbox": partial(convert.to_letter, receiver=core.robot),
     }
     for topic, time, message in messages(path):
@@ -156,7 +191,11 @@ def replay_recording(
                 core.receive(take[topic](message), time)
         elif topic == f"/{own}/cmd_vel":
             stamped = hasattr(message, "header")
-            core.advance(convert.to_seconds(message.header.stamp) if stamped else time)
+            now = convert.to_seconds(message.header.stamp) if stamped else time
+            try:
+                core.advance(now)
+            except ValueError as error:
+                raise ValueError(f"{path} cannot be replayed: {error}") from error
             advanced += 1
     if not advanced:
         raise ValueError(f"{path} has no /{own}/cmd_vel, so it is unknown when the robot acted")

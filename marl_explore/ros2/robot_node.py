@@ -15,6 +15,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
+from rclpy.clock import Clock, ClockType
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import LaserScan
@@ -22,8 +23,9 @@ from std_msgs.msg import UInt8MultiArray
 
 from marl_explore.robot import Pose, Scan
 from marl_explore.robot.driving import ZERO, Velocity
-from marl_explore.robot.status import Reason
+from marl_explore.robot.status import Reason, Status
 from marl_explore.ros2 import convert
+from marl_explore.ros2.names import team_root
 from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, diagnostics, run, time_of
 from marl_explore.ros2.parameters import RobotParameters
 from marl_explore.ros2.pose_sources import LidarTransforms, listen_to_tf
@@ -41,7 +43,7 @@ class RobotNode(ParameterNode[RobotParameters]):
         super().__init__("robot_node", RobotParameters())
         self.core = self.given.make_core()
         self._published = 0
-        self._told = Reason.WAITING
+        self._told: Reason | None = None
         self._log = StatusLog()
         self._warned: set[object] = set()
         self._dropped = 0
@@ -49,25 +51,26 @@ class RobotNode(ParameterNode[RobotParameters]):
         if self.given.lidar_from_tf:
             buffer, missing = listen_to_tf(self, "lidar_from_tf=True")
             self._lidar = LidarTransforms(buffer, self.given.base_frame, missing)
-        team, own = self.given.team, self.given.team[self.given.robot]
-        for robot, name in enumerate(team):
+        name = self.given.team[self.given.robot]
+        root = team_root(self.get_namespace(), name)
+        team, own = [f"{root}{name}" for name in self.given.team], f"{root}{name}"
+        for robot, mate in enumerate(team):
             take = partial(self._take_pose, robot)
-            self.create_subscription(PoseStamped, f"/{name}/pose", take, qos_profile_sensor_data)
-        self.create_subscription(
-            LaserScan, f"/{own}/scan", self._take_scan, qos_profile_sensor_data
-        )
-        self.create_subscription(UInt8MultiArray, f"/{own}/inbox", self._take_letter, LETTERS)
+            self.create_subscription(PoseStamped, f"{mate}/pose", take, qos_profile_sensor_data)
+        self.create_subscription(LaserScan, f"{own}/scan", self._take_scan, qos_profile_sensor_data)
+        self.create_subscription(UInt8MultiArray, f"{own}/inbox", self._take_letter, LETTERS)
         self._inboxes = {
-            robot: self.create_publisher(UInt8MultiArray, f"/{name}/inbox", LETTERS)
-            for robot, name in enumerate(team)
+            robot: self.create_publisher(UInt8MultiArray, f"{mate}/inbox", LETTERS)
+            for robot, mate in enumerate(team)
             if robot != self.given.robot
         }
-        self._maps = self.create_publisher(OccupancyGrid, f"/{own}/map", LATEST)
-        self._statuses = self.create_publisher(DiagnosticArray, f"/{own}/status", LATEST)
+        self._maps = self.create_publisher(OccupancyGrid, f"{own}/map", LATEST)
+        self._statuses = self.create_publisher(DiagnosticArray, f"{own}/status", LATEST)
         kind = TwistStamped if self.given.stamped else Twist
-        self._velocities = None if dry_run else self.create_publisher(kind, f"/{own}/cmd_vel", 1)
+        self._velocities = None if dry_run else self.create_publisher(kind, f"{own}/cmd_vel", 1)
         self.create_timer(1 / self.given.rate, self._advance)
-        self.create_timer(1.0, self._send_status)
+        # also while simulated time stands still
+        self.create_timer(1.0, self._send_status, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
         """Stop the robot."""
@@ -144,13 +147,18 @@ class RobotNode(ParameterNode[RobotParameters]):
         self._warned = said
 
     def _send_status(self) -> None:
-        core, name = self.core, self.given.team[self.given.robot]
+        core, name, status = self.core, self.given.team[self.given.robot], self.core.status
+        if not time_of(self):
+            status = Status(Reason.WAITING, "waiting for simulated time on /clock")
+            if status.reason is not self._told:
+                self.get_logger().info(status.text)
+                self._told = status.reason
         details = {
             **core.counts,
             "messages dropped": self._dropped,
             "last map refused": next(reversed(core.knowledge.refusals), "-"),
         }
-        fields = convert.status_fields(core.status, name, details)
+        fields = convert.status_fields(status, name, details)
         self._statuses.publish(diagnostics(fields, time_of(self)))
 
     def _send_velocity(self, velocity: Velocity, now: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from typing import Literal
 
@@ -33,20 +34,24 @@ class Sightings:
 
 
 class StatusLog:
-    """Chooses what a robot's node logs: faults, their ends, and that the map is complete.
+    """Chooses what a robot's node logs: faults, their ends, long waits, and a complete map.
 
     Args:
-        gone: a kind of status is logged again when it was gone for longer, and the end of a fault
-            when there was none for so long (seconds).
+        gone: a kind of status is logged again when it was gone for longer, the end of a fault when
+            there was none for so long, and what is waited for after so long (seconds).
     """
 
     def __init__(self, gone: float = GONE_SECONDS) -> None:
         self._sightings = Sightings(gone)
         self._fault_at: float | None = None
+        self._wait: tuple[str, float] | None = None
+        """What is waited for, and since when (seconds)."""
 
     def level(self, status: Status, now: float) -> Literal["warning", "info"] | None:
         """How to log a status at a time (seconds); None: not at all. Call it with every status."""
         is_new = self._sightings.is_new(status.reason, now)
+        if self._waits_for_long(status, now):
+            return "info"
         if status.is_fault:
             self._fault_at = now
             return "warning" if is_new else None
@@ -56,3 +61,19 @@ class StatusLog:
                 self._fault_at = None
                 return "info"
         return "info" if is_new and status.reason is Reason.COMPLETE else None
+
+    def _waits_for_long(self, status: Status, now: float) -> bool:
+        """Whether the same has been waited for for so long just now."""
+        if status.reason is not Reason.WAITING:
+            self._wait = None
+            return False
+        if (
+            self._wait is None
+            or self._wait[0] != status.text
+            or (math.isfinite(self._wait[1]) and now < self._wait[1])
+        ):
+            self._wait = status.text, now
+        if now - self._wait[1] <= self._sightings.gone:
+            return False
+        self._wait = status.text, math.inf  # once
+        return True

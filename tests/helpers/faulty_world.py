@@ -26,6 +26,8 @@ class Faults:
     """Share of messages that arrive twice."""
     delay: float = 0.0
     """Longest delay of a message."""
+    least_delay: float = 0.0
+    """Shortest delay of a message."""
     corrupt: float = 0.0
     """Share of messages of which a byte changes on the way."""
     dies_at: float | None = None
@@ -144,7 +146,7 @@ class FaultyWorld(World):
             for _ in range(copies):
                 if self.chance.random() < self.faults.drop:
                     continue
-                at = self.time + self.chance.uniform(0, self.faults.delay)
+                at = self.time + self.chance.uniform(self.faults.least_delay, self.faults.delay)
                 data = self._carried(envelope.encode())
                 if self.faults.delay:
                     item = (at, next(self._order), envelope.sender, receiver, data)
@@ -201,6 +203,7 @@ MIXES = {
     "duplicates": Faults(duplicate=0.5),
     "delays up to 1 s": Faults(delay=1.0),
     "delays up to 5 s": Faults(delay=5.0),
+    "delays of 3 s": Faults(delay=3.0, least_delay=3.0),
     "delays, duplicates and drops": Faults(delay=5.0, duplicate=0.3, drop=0.3),
     "corrupt bytes": Faults(corrupt=0.5),
     "a death": Faults(dies_at=30.0),

@@ -160,10 +160,18 @@ def test_maps_that_contradict_each_other_are_not_both_merged():
 
 def test_both_limits_must_be_exceeded():
     limits = MergeLimits(contradictions=5, share=0.1)
-    assert not limits.exceeded(Fit(5, 5))
+    assert not limits.exceeded(Fit(5, 10))
     assert limits.exceeded(Fit(6, 59))
     assert not limits.exceeded(Fit(6, 60))
     assert not limits.exceeded(Fit(0, 0))
+
+
+def test_small_maps_that_mostly_contradict_are_refused():
+    limits = MergeLimits()
+    assert limits.exceeded(Fit(5, 9))
+    assert limits.exceeded(Fit(3, 3))
+    assert not limits.exceeded(Fit(2, 2))  # robots may have stood there
+    assert not limits.exceeded(Fit(4, 8))
 
 
 def test_reports_are_bounded_and_counted():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from marl_explore.config.constants import COMMUNICATE
 from marl_explore.robot import BarrierClock, Envelope, Pose, RobotCore, RobotSettings
 from marl_explore.robot.driving import Drive
 from marl_explore.robot.evidence import Evidence
+from marl_explore.robot.geometry import Disc
 from marl_explore.robot.guard import Guard
 from marl_explore.robot.mapper import BeamModel
 from marl_explore.robot.messages import Done, Share
@@ -247,6 +249,22 @@ def test_a_thin_pole_in_the_way_blocks_it(aside, blocked):
     assert not guard.is_blocked(pose, frame.centre((1, 0)))
 
 
+@pytest.mark.parametrize(("range_min", "mate"), [(0.12, 0.2), (0.0, 0.1)])
+def test_what_is_too_near_to_measure_is_in_the_way(range_min, mate):
+    """REP 117: -inf. What is there may be a teammate, whose pose says so."""
+    obstacles, _ = arena("...\n.0.\n...")
+    core = RobotCore(0, ArenaConfig(3, 3, 0.0, num_agents=1), scripted([]), BarrierClock([0]))
+    pose = Pose(0.0, 0, 0.0, 0.0, 0.0)
+    scan = scan_of(obstacles.numpy(), core.frame, pose)
+    scan = replace(scan, ranges=scan.ranges.copy(), range_min=range_min)
+    scan.ranges[[0, 1, 359]] = -math.inf
+    for robots, blocked in (((), True), ([Disc(mate, 0.0, 0.0)], False)):
+        guard = Guard(Drive(), BeamModel())
+        guard.look(scan, pose, robots)
+        assert guard.is_blocked(pose, core.frame.centre((1, 2))) is blocked
+    assert not guard.is_blocked(pose, core.frame.centre((1, 0)))
+
+
 def test_a_single_return_is_noise():
     obstacles, _ = arena("...\n.0.\n...")
     core = RobotCore(0, ArenaConfig(3, 3, 0.0, num_agents=1), scripted([]), BarrierClock([0]))
@@ -331,6 +349,13 @@ def test_a_map_that_comes_long_after_the_patience_is_still_merged():
             world.cores[receiver].receive(letter, world.now)
     world.run(32)
     assert [core.knowledge.known for core in world.cores] == [18, 18]
+
+
+@pytest.mark.parametrize("planner", ["nearest-timer", "goal-utility"])
+def test_robots_explore_though_no_message_comes_within_the_patience(planner):
+    late = Faults(delay=3.0, least_delay=3.0)
+    found = explore(late, seed=3, planner=planner, side=6, robots=2, most_seconds=400.0)
+    assert found.finished
 
 
 def test_a_robot_that_was_alone_for_hours_finds_back():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -64,6 +65,51 @@ def test_stamps_of_another_clock_are_named_for_a_while():
     assert reason is Reason.OTHER_CLOCK
     assert "stamp=99.0 is not allowed: it is 1 s, and clocks may differ by 0.5 s" in text
     assert told(core, 2.0)[0] is Reason.NO_POSE
+
+
+def test_stamps_that_are_late_whenever_they_arrive_are_of_another_clock():
+    core = robot()
+    for now in (100.0, 100.2, 100.4):
+        core.receive(Pose(now - 60, 0, 0.25, 0.25, 0.0), now)
+    reason, text = told(core, 100.5)
+    assert reason is Reason.OTHER_CLOCK
+    assert text.endswith("or a slow network: its pose arrives with a stamp 60.1 s old, over 0.5 s")
+    assert told(core, 103.0) == (Reason.NO_POSE, "its pose is 62.6 s old, over 0.5 s")
+    for now in (103.0, 103.2):
+        core.receive(Pose(now, 0, 0.25, 0.25, 0.0), now)
+        core.receive(a_scan(now - 60), now)
+    assert told(core, 103.2)[0] is Reason.OTHER_CLOCK
+    assert "its scan arrives with a stamp 60.0 s old, over 1 s" in told(core, 103.2)[1]
+
+
+def test_after_the_clock_was_set_back_stamps_are_ahead():
+    core = robot()
+    core.receive(Pose(1000.0, 0, 0.25, 0.25, 0.0), 1000.0)
+    ahead = "its pose is stamped 10.0 s ahead of its clock"
+    assert told(core, 990.0) == (Reason.OTHER_CLOCK, ahead)
+
+
+@pytest.mark.parametrize(
+    ("event", "reason", "why"),
+    [
+        (Pose(1.0, 0, np.nan, 0.0, 0.0), Reason.NO_POSE, "its pose was refused: .*nan"),
+        (Scan(1.0, np.zeros(360)), Reason.NO_SCAN, "its scan was refused: "),
+    ],
+)
+def test_what_is_refused_is_named(event, reason, why):
+    """Until something that is none arrives: one bad scan among good ones is no fault."""
+    core = robot()
+    if reason is Reason.NO_SCAN:
+        core.receive(Pose(1.0, 0, 0.25, 0.25, 0.0), 1.0)
+    with pytest.raises(ValueError, match="is not allowed"):
+        core.receive(event, 1.0)
+    assert told(core, 1.1)[0] is reason
+    assert re.match(why, told(core, 1.1)[1])
+    core.receive(Pose(1.1, 0, 0.25, 0.25, 0.0), 1.1)
+    core.receive(a_scan(1.1), 1.1)
+    with pytest.raises(ValueError, match="is not allowed"):
+        core.receive(event, 1.1)
+    assert "refused" not in told(core, 1.1)[1]
 
 
 def waiting_team(dead):

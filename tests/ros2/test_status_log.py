@@ -52,6 +52,25 @@ def test_waiting_is_not_logged_and_a_complete_map_is_once():
     assert logged([WAITS, RUNS] * 9 + [Reason.COMPLETE, WAITS] * 50) == [(9.0, "info")]
 
 
+def test_a_long_wait_is_logged_once():
+    log = StatusLog(gone=10.0)
+    waits = [Status(Reason.WAITING, "waiting for robot 1")] * 30
+    waits += [Status(Reason.WAITING, "waiting for robot 2")] * 30
+    waits += [Status(Reason.EXPLORING, "")] + [Status(Reason.WAITING, "waiting for robot 2")] * 15
+    levels = [(second, log.level(status, second)) for second, status in enumerate(waits)]
+    assert [(second, level) for second, level in levels if level] == [
+        (11, "info"),
+        (41, "info"),
+        (72, "info"),
+    ]
+
+
+def test_a_wait_is_as_long_as_the_clock_says_after_it_was_set_back():
+    log, wait = StatusLog(gone=10.0), Status(Reason.WAITING, "waiting for robot 1")
+    assert [log.level(wait, now) for now in (100.0, 50.0, 55.0, 60.0)] == [None] * 4
+    assert log.level(wait, 60.5) == "info"
+
+
 def test_poses_that_are_a_little_too_rare_fill_no_log():
     """One every 0.6 s, with a limit of 0.5 s: the kind of status changes 200 times a minute."""
     core = RobotCore(0, ArenaConfig(6, 6, num_agents=1), scripted([]), BarrierClock([0]))
