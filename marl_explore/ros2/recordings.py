@@ -64,8 +64,7 @@ class Recorder:
         traceback: TracebackType | None,
     ) -> None:
         self._writer.close()
-        files = sorted(file for file in self._path.iterdir() if file.name != CHECKSUMS)
-        lines = (f"{_digest(file)}  {file.name}\n" for file in files)
+        lines = (f"{digest}  {name}\n" for name, digest in _digests(self._path).items())
         (self._path / CHECKSUMS).write_text("".join(lines))
 
     def receive(self, robot: int, event: Scan | Pose | Envelope, now: float) -> None:
@@ -134,15 +133,17 @@ def _check_sums(folder: Path) -> None:
     """Compare the files of a recording of ``Recorder`` with their checksums."""
     if not (folder / CHECKSUMS).is_file():
         return  # MCAP files of ROS have checksums of their own
-    for line in (folder / CHECKSUMS).read_text(errors="replace").splitlines():
-        digest, _, name = line.partition("  ")
-        file = folder / Path(name).name
-        if not file.is_file() or _digest(file) != digest:
-            raise _unreadable(folder, ValueError(f"{file.name} is not as it was written"))
+    lines = (folder / CHECKSUMS).read_text(errors="replace").splitlines()
+    written = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    found = _digests(folder)
+    if changed := sorted({name for name, _ in written.items() ^ found.items()}):
+        raise _unreadable(folder, ValueError(f"{', '.join(changed)}: not as it was written"))
 
 
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def _digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of the files in a folder by name, but for the file of checksums."""
+    files = sorted(file for file in folder.iterdir() if file.name != CHECKSUMS)
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def _unreadable(path: str | Path, error: Exception) -> ValueError:

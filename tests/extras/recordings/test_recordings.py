@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import random
+import shutil
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.config.constants import COMMUNICATE
 from marl_explore.robot import BarrierClock, Envelope, Pose, RobotCore, Scan
 from marl_explore.robot.driving import Velocity
+from marl_explore.robot.geometry import Mount
 from marl_explore.robot.messages import Done
 from marl_explore.ros2 import convert, recordings
-from marl_explore.ros2.recordings import Recorder, messages, replay_recording
+from marl_explore.ros2.recordings import CHECKSUMS, Recorder, messages, replay_recording
 from tests.helpers.robot_world import PATIENT, World
 
 TEAM = [f"robot_{number}" for number in range(4)]
@@ -119,7 +121,8 @@ def test_what_was_written_is_read_back_in_its_order(tmp_path):
 
 
 def test_it_is_an_mcap_file_of_standard_messages(team):
-    assert [file.suffix for file in team[0].iterdir() if file.name != "metadata.yaml"] == [".mcap"]
+    files = {file.suffix or file.name for file in team[0].iterdir()}
+    assert files == {".yaml", ".mcap", CHECKSUMS}
     with Reader(team[0]) as reader:
         kinds = {connection.msgtype for connection in reader.connections}
     assert kinds == {
@@ -189,4 +192,43 @@ def test_recordings_that_cannot_be_read_are_named(team, tmp_path):
                 pass
         except ValueError as error:
             refused += str(copy) in str(error)
-    assert refused >= 20  # the other bits are numbers of messages
+    assert refused == 60
+
+
+def test_files_of_ros_that_lost_messages_are_named(team, tmp_path):
+    """They have no checksums of ours, and zeros are read as nothing."""
+    path, _ = team
+    copy = tmp_path / "zeros"
+    shutil.copytree(path, copy)
+    (copy / CHECKSUMS).unlink()
+    (file,) = copy.glob("*.mcap")
+    assert sum(1 for _ in messages(copy)) > 100
+    damaged = bytearray(file.read_bytes())
+    damaged[len(damaged) // 2 : len(damaged) // 2 + 400] = bytes(400)
+    file.write_bytes(damaged)
+    with pytest.raises(ValueError, match=f"{copy} cannot be read as a recording"):
+        list(messages(copy))
+
+
+def test_an_error_of_the_robot_names_the_recording(tmp_path):
+    """A plain Twist has no stamp: the time of its record counts, and that may be wrong."""
+    kind, types = "geometry_msgs/msg/Twist", recordings._TYPES
+    with Writer(tmp_path / "late", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/robot_0/cmd_vel", kind, typestore=types)
+        writer.write(
+            connection, 14 * 10**18, types.serialize_cdr(recordings._message(kind, {}), kind)
+        )
+    with pytest.raises(ValueError, match="late cannot be replayed: now="):
+        replay_recording(tmp_path / "late", reborn(0, seed=0), TEAM)
+
+
+def test_a_robot_that_read_its_lidar_from_tf_is_replayed_with_its_mount(tmp_path):
+    mounts = []
+    core = reborn(0, seed=0)
+    core.receive = lambda event, now: mounts.append(event.mount)
+    with Recorder(tmp_path / "turned", TEAM) as recorder:
+        recorder.receive(0, Scan(1.0, np.ones(8)), 1.0)
+        recorder.answer(0, Velocity(0.0, 0.0), 1.1)
+    turned = Mount(0.1, 0.0, 1.5)
+    assert replay_recording(tmp_path / "turned", core, TEAM, mount=turned) == 1
+    assert mounts == [turned]

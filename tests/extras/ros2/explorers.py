@@ -32,7 +32,7 @@ NOT_ON_ROBOTS = ("torch", "tensordict", "torchrl", "scipy", "matplotlib", "tyro"
 
 def without_torch(folder):
     """A path for Python on which torch and the like cannot be imported."""
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     for name in NOT_ON_ROBOTS:
         (folder / f"{name}.py").write_text(f"raise ImportError('{name} is not on robots')\n")
     return str(folder)

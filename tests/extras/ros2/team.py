@@ -20,6 +20,7 @@ from marl_explore.config.constants import UNKNOWN
 from marl_explore.robot.messages import Done, Share
 from marl_explore.ros2 import convert
 from marl_explore.ros2.node import LATEST, LETTERS
+from tests.extras.ros2.explorers import without_torch
 
 MOST_SECONDS = 240  # of waiting for something that has to come
 
@@ -69,10 +70,14 @@ class Team:
         for parameter, value in self.given.get(node.get("exec"), {}).items():
             words += ["-p", f"{parameter}:={value}"]
         program = self.workspace.install / "lib" / "marl_explore_ros2" / node.get("exec")
+        environment = self.workspace.environment()
+        if node.get("exec") == "robot_node":
+            blocked = without_torch(self.folder / "without")
+            environment["PYTHONPATH"] = f"{blocked}:{environment['PYTHONPATH']}"
         with (self.folder / f"{name}.log").open("a") as log:
             self.processes[name] = subprocess.Popen(
                 [program, *self.words.get(name, []), "--ros-args", *words],
-                env=self.workspace.environment(),
+                env=environment,
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )

@@ -16,6 +16,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from marl_explore.robot.explorer import OccupancyMap, Place
@@ -330,6 +331,30 @@ def test_check_is_content_and_names_a_wrong_type(environment):
     finally:
         node.destroy_node()
         rclpy.shutdown()
+
+
+def test_check_does_not_take_a_teammate_for_nav2_and_needs_simulated_time(environment):
+    rclpy.init()
+    mate, nav2 = Node("explorer_node", namespace="/b"), Node("bt_navigator", namespace="/a")
+    words = "-p", "team:=[a, b]", "-r", "__ns:=/a", "-p", "use_sim_time:=true"
+    try:
+        mate.create_subscription(PoseStamped, "/a/goal_pose", lambda message: None, 1)
+        lines = checked(environment, *words).stdout.splitlines()
+        assert "/a/goal_pose: no subscriber: is Nav2 running?" in lines
+        assert "/clock: no publisher, and use_sim_time is true" in lines
+        nav2.create_subscription(PoseStamped, "/a/goal_pose", lambda message: None, 1)
+        nav2.create_publisher(Clock, "/clock", 1)
+        lines = checked(environment, *words).stdout.splitlines()
+        assert {"/a/goal_pose: ok", "/clock: ok"} <= {*lines}
+    finally:
+        mate.destroy_node()
+        nav2.destroy_node()
+        rclpy.shutdown()
+
+
+def test_check_of_a_robot_in_a_fleet(environment):
+    done = checked(environment, "-p", "team:=[a, b]", "-r", "__ns:=/fleet/a")
+    assert "/fleet/b/map: no publisher" in done.stdout.splitlines()
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import array
 import subprocess
+import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
@@ -22,8 +25,9 @@ from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Frame
 from marl_explore.robot.messages import Done, Intent
 from marl_explore.ros2 import convert
-from marl_explore.ros2.node import LETTERS, ParameterNode, run
+from marl_explore.ros2.node import LATEST, LETTERS, ParameterNode, run
 from marl_explore.ros2.parameters import RobotParameters
+from marl_explore.ros2.robot_node import RobotNode
 from tests.extras.ros2.team import Team, Watcher
 from tests.helpers.policy_file import policy_file
 
@@ -185,6 +189,31 @@ def test_parameters_are_read_only_once_a_node_runs():
             assert "read-only" in result.reason
             assert node.get_parameter(name).value == value
         assert node.given.rate == 5.0
+    finally:
+        rclpy.shutdown()
+
+
+def test_before_simulated_time_begins_a_robot_of_a_fleet_says_so(tmp_path):
+    """Its topics and those of its team stand under the namespace of the fleet."""
+    given = ("use_sim_time:=true", f"policy:={policy_file(tmp_path)}")
+    words = [word for entry in given for word in ("-p", entry)]
+    rclpy.init(args=["--ros-args", *words, "-r", "__ns:=/fleet/robot_0"])
+    try:
+        node, listener, found = RobotNode(), Node("listener"), []
+        listener.create_subscription(DiagnosticArray, "/fleet/robot_0/status", found.append, LATEST)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.add_node(listener)
+        until = time.monotonic() + 30
+        while not found and time.monotonic() < until:
+            executor.spin_once(timeout_sec=0.1)
+        (status,) = found[0].status
+        assert status.message == "waiting for simulated time on /clock"
+        details = {entry.key: entry.value for entry in status.values}
+        assert details["numpy instead of the kernel"] in ("0", "1")
+        for name in ("robot_0", "robot_1"):
+            assert len(node.get_subscriptions_info_by_topic(f"/fleet/{name}/pose")) == 1
+        assert node.count_publishers("/fleet/robot_1/inbox") == 1
     finally:
         rclpy.shutdown()
 
