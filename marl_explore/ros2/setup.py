@@ -45,7 +45,7 @@ if __name__ == "__main__":
         extras_require={"test": ["hypothesis", "pytest", "pyyaml"]},
         zip_safe=False,
         maintainer="The marl_explore authors",
-        description="Teams of robots that explore by a trained policy or a planner, an explorer for SLAM and Nav2, and a simulated lab.",
+        description="Robots that explore by a policy or planner, also with SLAM and Nav2.",
         license="MIT",
         entry_points={
             "console_scripts": [

@@ -9,6 +9,7 @@ import onnx
 import onnxruntime
 import pytest
 
+from marl_explore import list_policies, load_policy
 from marl_explore.policies.export import (
     GOAL_OUTPUTS,
     INPUTS,
@@ -57,6 +58,17 @@ def test_onnxruntime_agrees_on_1000_observations(tmp_path, network, options):
         np.testing.assert_allclose(by_numpy, ours[1], rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.parametrize("name", sorted({*list_policies()} - {"best"}))
+def test_every_bundled_policy_of_moves_is_a_graph(tmp_path, name):
+    policy = load_policy(name)
+    for robot, path in enumerate(export_onnx(policy, tmp_path)):
+        inputs = example_inputs(policy.config.arena, 50, seed=robot)
+        action, logits = expected(policy, robot, inputs)
+        ours = run(path, inputs)
+        np.testing.assert_allclose(ours[1], logits, rtol=1e-5, atol=1e-4)
+        assert (ours[0] == action).mean() >= 0.98
+
+
 def test_a_graph_tells_what_it_is_and_what_it_lacks(tmp_path):
     policy = a_policy(fpr="proximity")
     model = onnx.load(export_onnx(policy, tmp_path)[3])
@@ -68,8 +80,9 @@ def test_a_graph_tells_what_it_is_and_what_it_lacks(tmp_path):
     assert [entry.name for entry in model.graph.output] == list(OUTPUTS)
 
 
-def test_actors_that_choose_among_goals_agree_in_any_team(tmp_path):
-    policy = goal_policy()
+@pytest.mark.parametrize("name", ["drawn", "best"])
+def test_actors_that_choose_among_goals_agree_in_any_team(tmp_path, name):
+    policy = goal_policy() if name == "drawn" else load_policy(name)
     path = export_onnx(policy, tmp_path)[1]
     onnx.checker.check_model(path)
     told = {entry.key: entry.value for entry in onnx.load(path).metadata_props}
