@@ -9,7 +9,7 @@ import onnx
 import onnxruntime
 import pytest
 
-from marl_explore import list_policies, load_policy
+from marl_explore import load_policy
 from marl_explore.policies.export import (
     GOAL_OUTPUTS,
     INPUTS,
@@ -58,8 +58,8 @@ def test_onnxruntime_agrees_on_1000_observations(tmp_path, network, options):
         np.testing.assert_allclose(by_numpy, ours[1], rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", sorted({*list_policies()} - {"best"}))
-def test_every_bundled_policy_of_moves_is_a_graph(tmp_path, name):
+@pytest.mark.parametrize("name", ["paper-mlp-case2", "paper-cnn-case2"])
+def test_bundled_policies_of_moves_are_graphs(tmp_path, name):
     policy = load_policy(name)
     for robot, path in enumerate(export_onnx(policy, tmp_path)):
         inputs = example_inputs(policy.config.arena, 50, seed=robot)
