@@ -148,6 +148,10 @@ class RobotCore:
         self._reach: set[int] = set()
         self._silent: set[int] = set()
         self._partners: dict[int, set[int]] = {}
+        self._told: dict[int, int] = {}
+        """At which tick it last sent its map to each robot."""
+        self._owed: set[int] = set()
+        """Robots whose map came although this robot had not sent its own for long."""
         self._ways: dict[int, Way] = {}
         self._intents: dict[int, Intent] = {}
         self._legs: list[GridCell] = []
@@ -192,7 +196,15 @@ class RobotCore:
             if isinstance(event.message, Done):
                 self.clock.report(event.message.robot, event.message.tick, now)
             else:
+                self._note_debt(event)
                 self.mail.receive(event)
+
+    def _note_debt(self, letter: Envelope) -> None:
+        """Remember who has sent its map and does not have this robot's: its own may be late."""
+        share, told = letter.message, self._told.get(letter.sender)
+        is_own = isinstance(share, Share) and share.robot == letter.sender
+        if is_own and (told is None or told < share.tick - KEPT_TICKS):
+            self._owed.add(letter.sender)
 
     def _take(self, event: Scan | Pose, now: float) -> None:
         try:
@@ -348,13 +360,15 @@ class RobotCore:
         self._legs, self._passed = list(self._ways[self.robot].cells), [own.cell]
         self.refusal = None if self._legs or self.action >= STAY else self._why_refused()
         self._since, self._phase = now, self._wait_turn
+        receivers = self._owed & self._reach
         if own.action == COMMUNICATE:
             talking = {robot for robot, other in heard.items() if other.action == COMMUNICATE}
             self._partners[self.tick] = talking
-            share = Share(self.robot, self.tick, self.knowledge.evidence)
-            # also to those who were not heard in time: their messages may only be late
-            self.mail.send(share, talking | missing)
+            receivers |= talking | missing  # who was not heard in time may only be late
             self._phase = self._exchange
+        self._owed.clear()
+        self._told |= dict.fromkeys(receivers, self.tick)
+        self.mail.send(Share(self.robot, self.tick, self.knowledge.evidence), receivers)
         return True
 
     def _why_refused(self) -> str:

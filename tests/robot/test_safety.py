@@ -15,6 +15,7 @@ from marl_explore.robot.driving import Drive
 from marl_explore.robot.evidence import Evidence
 from marl_explore.robot.geometry import Disc
 from marl_explore.robot.guard import Guard
+from marl_explore.robot.mailbox import KEPT_TICKS
 from marl_explore.robot.mapper import BeamModel
 from marl_explore.robot.messages import Done, Share
 from marl_explore.robot.planners import Nearest, RobotPlanner
@@ -351,11 +352,36 @@ def test_a_map_that_comes_long_after_the_patience_is_still_merged():
     assert [core.knowledge.known for core in world.cores] == [18, 18]
 
 
-@pytest.mark.parametrize("planner", ["nearest-timer", "goal-utility"])
-def test_robots_explore_though_no_message_comes_within_the_patience(planner):
+@pytest.mark.parametrize(
+    ("planner", "robots", "side", "seed"),
+    [("nearest-timer", 2, 6, 3), ("goal-utility", 2, 6, 3), ("nearest-timer", 3, 7, 4)],
+)
+def test_robots_explore_though_no_message_comes_within_the_patience(planner, robots, side, seed):
+    """Three also when one is done, which others wait for as long as they lack its map."""
     late = Faults(delay=3.0, least_delay=3.0)
-    found = explore(late, seed=3, planner=planner, side=6, robots=2, most_seconds=400.0)
+    found = explore(late, seed, planner, side, robots, most_seconds=400.0)
     assert found.finished
+
+
+def test_a_map_is_answered_once_by_a_robot_that_does_not_communicate():
+    config = ArenaConfig(3, 9, 0.0, num_agents=2)
+    obstacles, positions = arena(".........\n.0....1..\n.........")
+    policies = [scripted([]) for _ in range(2)]
+    world = World(config, obstacles.numpy(), positions.tolist(), policies, settings=PATIENT)
+    world.run(2)
+    robot, other = world.cores
+
+    def answers(ticks):
+        before = robot.mail.sent["share"]
+        late = Share(1, robot.tick, other.knowledge.evidence)
+        robot.receive(Envelope(1, (0,), late), world.now)
+        world.run(robot.tick + ticks)
+        return robot.mail.sent["share"] - before
+
+    assert [answers(2), answers(2)] == [1, 0]
+    assert answers(KEPT_TICKS) == 0  # its own has only just gone
+    assert answers(2) == 1
+    assert other.knowledge.known == robot.knowledge.known == 18
 
 
 def test_a_robot_that_was_alone_for_hours_finds_back():
