@@ -163,7 +163,12 @@ def test_a_team_that_chooses_among_goals_explores_as_on_the_grid():
 
 def test_a_policy_for_another_field_of_view_is_refused():
     with pytest.raises(ValueError, match="trained for fov_radius=2"):
-        LabRunner(goal_policy(sensing_range=2.0), arenas(1), config=ArenaConfig())
+        LabRunner(a_policy(sensing_range=2.0), arenas(1), config=ArenaConfig())
+
+
+def test_a_policy_for_any_sensor_has_that_of_the_lab():
+    runner = LabRunner(goal_policy(sensing_range=2.0), arenas(1), config=ArenaConfig())
+    assert runner.run(2).actions.shape == (1, 2, 4)
 
 
 def test_layouts_of_another_size_are_refused():
