@@ -28,7 +28,6 @@ from marl_explore.arenas import default_config, default_steps
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.goals import GoalWeights
 from marl_explore.core.grid import COMMUNICATE, STAY
-from marl_explore.core.survivors import largest_of_living
 from marl_explore.evaluation import metrics
 from marl_explore.evaluation.episodes import TEST_STREAM, Actor, record
 from marl_explore.evaluation.plots.style import STYLE, legend, line_styles, save
@@ -106,11 +105,8 @@ def play(
 ) -> Scores:
     """Run a policy on arenas of a suite."""
     episodes = record(policy, config, number, default_steps(arenas), seed, stream, arenas)
-    known = largest_of_living(episodes.maps.known_targets, episodes.alive)
-    to_95, to_100 = (
-        metrics.steps_to(known, episodes.num_targets, share).double().numpy()
-        for share in (0.95, 1.0)
-    )
+    scores = metrics.per_episode(episodes)
+    to_95, to_100 = (scores[f"steps_to_{share}"].numpy() for share in (95, 100))
     running = metrics.before_completion(episodes)
     whole = metrics.bytes_sent(episodes, running) / config.num_agents
     delta = delta_bytes(episodes, running) / config.num_agents

@@ -25,9 +25,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
-from marl_explore.core.survivors import largest_of_living
 from marl_explore.evaluation.episodes import TEST_STREAM, Actor, record
-from marl_explore.evaluation.metrics import steps_to
+from marl_explore.evaluation.metrics import per_episode
 from marl_explore.evaluation.plots.style import STYLE, legend, line_styles, save
 from marl_explore.evaluation.registry import find_policy
 from marl_explore.evaluation.stats import interval, paired_difference
@@ -108,10 +107,8 @@ def play(
     if not fault.setting and level != 1:
         policy = Assuming(name, config, level)
     episodes = record(policy, config, num_arenas, STEPS, seed, stream, ARENAS)
-    known = largest_of_living(episodes.maps.known_targets, episodes.alive)
-    to_95, to_100 = (
-        steps_to(known, episodes.num_targets, share).double().numpy() for share in (0.95, 1.0)
-    )
+    scores = per_episode(episodes)
+    to_95, to_100 = (scores[f"steps_to_{share}"].numpy() for share in (95, 100))
     done = torch.from_numpy(to_100 <= STEPS)
     possible = done | episodes.finishable
     return Scores(to_95, to_100, float(done.sum() / possible.sum()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from random import Random
 from typing import Any
 
@@ -40,11 +39,8 @@ def random_world(number: int, arena: ArenaConfig) -> ArenaConfig:
         "num_walkers": round(_sometimes(draw) * MOST_WALKERS),
         "move_period": tuple(1 + (draw.random() < 1 / 2) for _ in range(each)) if differ else 1,
     }
-    size = {
-        name: getattr(arena, name)
-        for name in ("height", "width", "obstacle_density", "num_agents", "cell_size")
-    }
-    return replace(ArenaConfig(**size), **settings)
+    kept = ("height", "width", "obstacle_density", "num_agents", "cell_size")
+    return ArenaConfig(**{name: getattr(arena, name) for name in kept}, **settings)
 
 
 def _sensors(draw: Random, each: int, arena: ArenaConfig) -> dict[str, Any]:
