@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -59,23 +59,24 @@ class Knowledge:
         self.refused: Counter[int] = Counter()
         """How many maps of each robot were refused."""
         self._stood: list[set[GridCell]] = [set() for _ in range(robots)]
-        """Cells in which the robot has been since its last merge with each robot."""
+        """Cells in which it has been, if only on its way, since its last merge with each robot."""
         self._began = False
 
-    def sense(self, cell: GridCell, seen: Map, tick: int) -> int:
+    def sense(self, cell: GridCell, seen: Map, tick: int, passed: Collection[GridCell] = ()) -> int:
         """Add what a robot sees around its cell to the evidence; that cell itself is free.
 
         Args:
             cell: middle of the square, inside the arena.
             seen: ``mapper.sight``, int8 [2k + 1, 2k + 1].
             tick: when it was seen.
+            passed: cells through which the robot has come since it sensed last.
 
         Returns:
             Number of cells that became known or changed.
         """
         found = self._placed(cell, seen)
         for stood in self._stood:
-            stood.add(cell)
+            stood.update((cell, *passed))
         changed = self._become(self.evidence.looked(found, tick, self.model, cell))
         self.unshared += changed
         self.unshared[self.robot] = 0

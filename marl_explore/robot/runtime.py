@@ -305,7 +305,7 @@ class RobotCore:
         seen = sight(scan, own, others, self.frame, radius, settings.beams, astray)
         cell = self.frame.cell(own.x, own.y)
         if self.jumps.admits(own, self.knowledge.fit(cell, seen), self.tick):
-            self.knowledge.sense(cell, seen, self.tick)
+            self.knowledge.sense(cell, seen, self.tick, self._passed)
         else:
             self.knowledge.pass_time()
 

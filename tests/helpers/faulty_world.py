@@ -219,9 +219,9 @@ MIXES = {
 """The mixes of the fault campaign (``python -m benchmarks.robot_faults``)."""
 
 
-_SETTLING = 10.0
+_SETTLING = 20.0
 """How long the world goes on after the end (seconds): a robot that was not heard for long is an
-obstacle until others look at its cell again."""
+obstacle until it has exchanged maps with the others, or they look at its cell again."""
 
 
 class Outcome(NamedTuple):

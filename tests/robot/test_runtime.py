@@ -11,7 +11,7 @@ import pytest
 from marl_explore import ArenaConfig
 from marl_explore.robot import BarrierClock, Envelope, PeriodClock, Pose, RobotCore, RobotSettings
 from marl_explore.robot.driving import ZERO
-from marl_explore.robot.evidence import Evidence
+from marl_explore.robot.evidence import Evidence, EvidenceModel
 from marl_explore.robot.geometry import Frame, Mount
 from marl_explore.robot.mapper import sight
 from marl_explore.robot.messages import MOST_AHEAD, Done, Intent, Share
@@ -340,6 +340,20 @@ def test_who_does_not_communicate_gets_no_map():
     world.run(1)
     assert [core.knowledge.known for core in world.cores] == [9, 9]
     assert world.cores[0].mail.sent["share"] == 0
+
+
+def test_an_obstacle_of_others_in_a_cell_that_the_robot_drove_through_was_the_robot():
+    world = world_of("....\n....\n0..1", ["NE", "stay"])
+    corner, later = (1, 0), 60
+    world.run(2)
+    mover, other = world.cores
+    assert cells(world)[0] == (1, 1)
+    seen = np.full((3, 4), -1, np.int8)
+    seen[corner] = 1  # on its diagonal it passed there, and was seen for long
+    for tick in range(later, later + 5):
+        taken = other.knowledge.evidence.looked(seen, tick, EvidenceModel(), (2, 3))
+    mover.knowledge.merge({1: taken}, later)
+    assert mover.knowledge.map[corner] == 0
 
 
 def test_lost_maps_cost_time_and_nothing_else():
