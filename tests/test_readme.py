@@ -181,6 +181,8 @@ def _is_ours(words: list[str]) -> bool:
             makefile = (ROOT / "Makefile").read_text()
             assert re.search(rf"^{re.escape(target)}:", makefile, re.MULTILINE)
             assert all("=" in variable for variable in variables)
+        case ["pip", "install", "-e", "."]:
+            return True
         case ["pip", "install", *packages]:
             return all(re.match(r"(\.|torch|marl-explore)(\[|$)", package) for package in packages)
         case _:

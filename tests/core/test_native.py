@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -211,3 +212,14 @@ def test_levels_go_with_torch():
         FrontierReachability(levels=2, backend="native")
     with pytest.raises(ValueError, match="levels=0"):
         FrontierReachability(levels=0)
+
+
+def test_a_source_folder_without_kernels_says_so(monkeypatch):
+    monkeypatch.setattr(native, "EXTENSION_SUFFIXES", [])
+    reason = str(native._load.__wrapped__("frontier"))
+    source = Path(native.__file__).parents[3]
+    assert f"this is the source in {source}" in reason
+    assert "pip install -e ." in reason
+    monkeypatch.setattr(native, "__file__", "/somewhere/site-packages/marl_explore/core/native/x")
+    reason = str(native._load.__wrapped__("frontier"))
+    assert reason == "it was not built: the package was installed without a C compiler"

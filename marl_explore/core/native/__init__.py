@@ -190,7 +190,7 @@ def _load(name: Kernel) -> Callable[..., int] | OSError:
     files = [Path(__file__).parent / f"_{library}{suffix}" for suffix in EXTENSION_SUFFIXES]
     built = [file for file in files if file.is_file()]
     if not built:
-        return OSError("it was not built: the package was installed without a C compiler")
+        return OSError(f"it was not built: {_why_not_built()}")
     try:
         loaded = ctypes.CDLL(str(built[0]))[function]
     except OSError as error:
@@ -198,6 +198,16 @@ def _load(name: Kernel) -> Callable[..., int] | OSError:
     loaded.argtypes = arguments
     loaded.restype = ctypes.c_int
     return loaded
+
+
+def _why_not_built() -> str:
+    source = Path(__file__).parents[3]
+    if (source / "pyproject.toml").is_file():
+        return (
+            f"this is the source in {source}, which Python takes before an installed package when "
+            "it runs there; install it with a C compiler by pip install -e ., or work elsewhere"
+        )
+    return "the package was installed without a C compiler"
 
 
 def missing(name: Kernel = "frontier") -> str | None:
