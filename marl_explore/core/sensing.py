@@ -54,14 +54,13 @@ def surroundings(
         int8 [*B, N, 2k + 1, 2k + 1], row 0 north; what a robot cannot see is UNSEEN.
     """
     radius, side, stride = sight.radius, sight.side, walls.shape[-1]
-    own = flat_cell(position, stride) + radius * (stride + 1)
-    occupied = walls.flatten(-2).scatter(-1, own, ROBOT)
-    if walkers is not None and walkers.shape[-2]:
-        cell = flat_cell(walkers, stride) + radius * (stride + 1)
-        occupied = occupied.scatter_(-1, cell, ROBOT)
+    corner = radius * (stride + 1)
+    own = flat_cell(position, stride) + corner
+    people = own[..., :0] if walkers is None else flat_cell(walkers, stride) + corner
     masks = shapes(sight, walls.device)
     if in_use("surroundings", backend, walls.device):
-        return kernel.surroundings(occupied.view(walls.shape), own, masks, sight.line_of_sight)
+        return kernel.surroundings(walls, own, people, masks, sight.line_of_sight)
+    occupied = walls.flatten(-2).scatter(-1, own, ROBOT).scatter_(-1, people, ROBOT)
     index = own.unsqueeze(-1) + square_steps(radius, stride, walls.device)
     view = occupied.gather(-1, index.flatten(-2)).view(*own.shape, side, side)
     view[..., radius, radius].fill_(OPEN)

@@ -24,12 +24,13 @@ from marl_explore.core.mapping import (
     target_cells,
 )
 from marl_explore.core.motion import action_mask, dangerous_moves, in_turn, move, open_moves
-from marl_explore.core.native import Backend
+from marl_explore.core.native import Backend, step
 from marl_explore.core.native import merging as kernel
 from marl_explore.core.native.choice import in_use
-from marl_explore.core.radio import pairs, reaches
+from marl_explore.core.radio import most_squared_within, pairs, reaches
 from marl_explore.core.rewards import StepRecord
 from marl_explore.core.sensing import blinded, bordered, sense, surroundings
+from marl_explore.core.sight import shapes
 from marl_explore.core.survivors import failing
 from marl_explore.core.walkers import move_walkers, walker_starts
 
@@ -192,7 +193,7 @@ def resume(
 
 
 def advance(
-    config: ArenaConfig, state: WorldState, action: Tensor
+    config: ArenaConfig, state: WorldState, action: Tensor, backend: Backend = "auto"
 ) -> tuple[WorldState, StepRecord]:
     """One step of all robots at once (docs/environment.md, A step).
 
@@ -202,12 +203,22 @@ def advance(
         config: sizes, sensors, radios and events.
         state: before the step; it is not changed.
         action: int64 [*B, N], any of the ten actions, allowed or not.
+        backend: "torch", "native" (a whole step in C, in arenas without hindrances), or "auto".
 
     Returns:
         The state after the step, and the record of what happened.
+
+    Raises:
+        ValueError: for an unknown backend, and where the native one is not for these arenas.
     """
+    living = failing(state.alive)
+    if in_use("step", backend, action.device) and not torch.compiler.is_compiling():
+        reach = _reach_without_hindrances(config) if living is None else None
+        if reach is not None:
+            return _advance_at_once(config, state, action, reach)
+        if backend == "native":
+            raise ValueError("backend='native' is not allowed: these arenas have hindrances")
     alive, key, time = state.alive, state.draw_key, state.step_count
-    living = failing(alive)
     may_move = in_turn(config.move_period, living, time)
     moves = action if may_move is None else torch.where(may_move, action, STAY)
     dangerous = dangerous_moves(state.action_mask, state.position, moves)
@@ -260,6 +271,75 @@ def advance(
         missing=missing,
         alive=alive,
         maps=(state.map, sensed.map),
+        num_cells=config.num_cells,
+        max_discovery=most_discoveries(config, action.device),
+    )
+    return after, record
+
+
+@lru_cache
+def _reach_without_hindrances(config: ArenaConfig) -> int | None:
+    """Largest squared distance of linked robots, if they can always move and lose no message.
+
+    None: something hinders them, or their ranges differ.
+    """
+    hindrances = (
+        config.wall_loss_db,
+        config.shadowing_db,
+        config.message_loss,
+        config.failure_rate,
+        config.num_walkers,
+        config.move_period != 1,
+        config.radio != "path-loss",
+    )
+    range_cells = config.communication_cells
+    if any(hindrances) or isinstance(range_cells, tuple):
+        return None
+    return most_squared_within(range_cells)
+
+
+def _advance_at_once(
+    config: ArenaConfig, state: WorldState, action: Tensor, reach: int
+) -> tuple[WorldState, StepRecord]:
+    """``advance`` by one call of the kernel, for arenas without hindrances."""
+    new = step.step(
+        walls=state.walls,
+        masks=shapes(config.sight, action.device),
+        target=state.target,
+        action=action,
+        position=state.position,
+        action_mask=state.action_mask,
+        unshared=state.unshared,
+        steps_since_merge=state.steps_since_merge,
+        known=state.known,
+        missing=state.missing,
+        grid=state.map,
+        reach=reach,
+        hides=config.sight.line_of_sight,
+    )
+    after = state._replace(
+        map=new.map,
+        position=new.position,
+        unshared=new.unshared,
+        steps_since_merge=new.steps_since_merge,
+        step_count=state.step_count + 1,
+        view=new.view,
+        linked=new.linked,
+        action_mask=new.action_mask,
+        known=new.known,
+        missing=new.missing,
+    )
+    record = StepRecord(
+        action=action,
+        dangerous=new.dangerous,
+        network=new.network,
+        discovered=new.discovered,
+        received=new.received,
+        known=new.known,
+        unshared=new.pending,
+        missing=new.missing,
+        alive=state.alive,
+        maps=(state.map, new.map),
         num_cells=config.num_cells,
         max_discovery=most_discoveries(config, action.device),
     )

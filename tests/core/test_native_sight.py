@@ -190,9 +190,9 @@ def test_other_queries_are_refused(name, entry):
 @pytest.mark.parametrize("place", [0, 3, 19])
 def test_what_is_not_there_is_refused(place):
     for entry, message, wrong in (
-        (1, "a map or a kind of robot that there is not", (-1, 5, 2**62)),
+        (1, "there is no such map, action or kind", (-1, 5, 2**62)),
         (2, "outside its map of 9 x 13 cells", (-1, 9 * 13, 2**62, -(2**62))),
-        (3, "a map or a kind of robot that there is not", (-1, 3, 2**62)),
+        (3, "there is no such map, action or kind", (-1, 3, 2**62)),
     ):
         for value in wrong:
             queries = random_queries(20)

@@ -56,7 +56,7 @@ def test_the_kernel_refuses_what_it_cannot_answer():
         paths_to(grid, cells, which, starts + 54)
     with pytest.raises(ValueError, match="outside"):
         paths_to(grid, cells - 54, which, starts)
-    with pytest.raises(ValueError, match="there is not"):
+    with pytest.raises(ValueError, match="there is no such map"):
         paths_to(grid, cells, which + 5, starts)
     with pytest.raises(ValueError, match=r"grid is torch.int64"):
         paths_to(grid.long(), cells, which, starts)

@@ -33,9 +33,10 @@ Kernel = Literal[
     "surroundings",
     "sense",
     "merge",
+    "step",
 ]
 """Tables of paths to frontiers (FPR), candidate goals, paths to cells, line of sight, expected
-discoveries, what is around robots, what they write into their maps, merging them."""
+discoveries, what is around robots, what they write into their maps, merging them, a whole step."""
 Backend = Literal["auto", "torch", "native"]
 BACKENDS: tuple[Backend, ...] = get_args(Backend)
 """What computes: torch, a kernel (CPU tensors only), or a kernel where that is possible."""
@@ -106,8 +107,8 @@ class Looks(ctypes.Structure):
     """
 
     _fields_ = _layout(
-        "walls own masks view",
-        "team cells width num_kinds side hides",
+        "walls own people masks view",
+        "team num_people cells width num_kinds side hides",
     )
 
 
@@ -132,6 +133,20 @@ class Teams(ctypes.Structure):
     _fields_ = _layout(
         "linked communicating target maps network received targets",
         "team cells",
+    )
+
+
+class Step(ctypes.Structure):
+    """Addresses of the arrays of a step of the world, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = _layout(
+        "walls masks target action start allowed unshared waited known missing maps position "
+        "dangerous view linked network pending new_unshared new_waited new_allowed discovered "
+        "received new_known new_missing own targets more_targets communicating",
+        "team height width num_kinds side hides reach never",
     )
 
 
@@ -164,22 +179,23 @@ _FUNCTIONS: dict[Kernel, tuple[str, str, tuple[Any, ...]]] = {
         (ctypes.POINTER(PathQueries), _INTEGER, _INTEGER),
     ),
     "sight": (
-        "sight",
+        "world",
         "marl_explore_line_of_sight",
         (_POINTER, _INTEGER, _INTEGER, _POINTER),
     ),
     "discoveries": (
-        "sight",
+        "world",
         "marl_explore_expected_discoveries",
         (ctypes.POINTER(SightQueries), _INTEGER, _INTEGER),
     ),
     "surroundings": (
-        "sight",
+        "world",
         "marl_explore_surroundings",
         (ctypes.POINTER(Looks), _INTEGER, _INTEGER),
     ),
-    "sense": ("sight", "marl_explore_sense", (ctypes.POINTER(Readings), _INTEGER, _INTEGER)),
-    "merge": ("merging", "marl_explore_merge", (ctypes.POINTER(Teams), _INTEGER, _INTEGER)),
+    "sense": ("world", "marl_explore_sense", (ctypes.POINTER(Readings), _INTEGER, _INTEGER)),
+    "merge": ("world", "marl_explore_merge", (ctypes.POINTER(Teams), _INTEGER, _INTEGER)),
+    "step": ("world", "marl_explore_step", (ctypes.POINTER(Step), _INTEGER, _INTEGER)),
 }
 
 
@@ -243,4 +259,4 @@ def check(failed: int, height: int, width: int) -> None:
     if failed == _SEEN_OUTSIDE:
         raise ValueError(f"a teammate was seen outside the map of {height} x {width} cells")
     if failed == _NO_SUCH:
-        raise ValueError("a query is about a map or a kind of robot that there is not")
+        raise ValueError("there is no such map, action or kind of robot")

@@ -2,21 +2,9 @@
  *
  * Plain C99, no dependency but the standard library; one call is one thread's share.
  */
-#include "grid.h"
+#include "world.h"
 
 #include <stdlib.h>
-
-/* The teams of a batch; bools are a byte each, 0 or 1. */
-typedef struct {
-    const uint8_t *linked;        /* [arenas, team, team] */
-    const uint8_t *communicating; /* [arenas, team] */
-    const uint8_t *target;        /* [arenas, cells], cells that are counted apart */
-    int8_t *maps;                 /* [arenas, team, cells], which are merged */
-    uint8_t *network;             /* [arenas, team, team], pairs in one network; 0 before the call */
-    int64_t *received;            /* [arenas, team], cells that were unknown; 0 before the call */
-    int64_t *targets;             /* [arenas, team], the targets among them; 0 before the call */
-    int64_t team, cells;
-} Teams;
 
 /* Collects the robots that communicate and are joined to `robot` by chains of links; returns how
  * many. Those found are marked as done. */

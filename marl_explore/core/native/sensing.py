@@ -10,7 +10,9 @@ from marl_explore.core.native.sight import windows_per_thread
 from marl_explore.core.native.threads import share_rows
 
 _LOOK, _SENSE = "marl_explore::surroundings", "marl_explore::sense"
-torch.library.define(_LOOK, "(Tensor walls, Tensor own, Tensor masks, bool hides) -> Tensor")
+torch.library.define(
+    _LOOK, "(Tensor walls, Tensor own, Tensor people, Tensor masks, bool hides) -> Tensor"
+)
 torch.library.define(
     _SENSE,
     "(Tensor grid, Tensor view, Tensor position, Tensor alive, Tensor target)"
@@ -19,12 +21,13 @@ torch.library.define(
 
 
 @torch.library.impl(_LOOK, "cpu")
-def _surroundings(walls: Tensor, own: Tensor, masks: Tensor, hides: bool) -> Tensor:
-    walls, own, masks = (x.contiguous() for x in (walls, own, masks))
+def _surroundings(walls: Tensor, own: Tensor, people: Tensor, masks: Tensor, hides: bool) -> Tensor:
+    walls, own, people, masks = (x.contiguous() for x in (walls, own, people, masks))
     side, (height, width) = masks.shape[-1], walls.shape[-2:]
     view = walls.new_empty(*own.shape, side, side)
-    addresses = (x.data_ptr() for x in (walls, own, masks, view))
-    looks = native.Looks(*addresses, own.shape[-1], height * width, width, len(masks), side, hides)
+    addresses = (x.data_ptr() for x in (walls, own, people, masks, view))
+    sizes = own.shape[-1], people.shape[-1], height * width, width, len(masks), side, hides
+    looks = native.Looks(*addresses, *sizes)
     function = native.kernel("surroundings")
 
     def run(first: int, last: int) -> int:
@@ -56,7 +59,7 @@ def _sense(
 
 
 @torch.library.register_fake(_LOOK)
-def _(walls: Tensor, own: Tensor, masks: Tensor, hides: bool) -> Tensor:
+def _(walls: Tensor, own: Tensor, people: Tensor, masks: Tensor, hides: bool) -> Tensor:
     return walls.new_empty(*own.shape, *masks.shape[-2:])
 
 
@@ -68,16 +71,17 @@ def _(
     return torch.empty_like(grid), counts[0], counts[1]
 
 
-def surroundings(walls: Tensor, own: Tensor, masks: Tensor, hides: bool) -> Tensor:
+def surroundings(walls: Tensor, own: Tensor, people: Tensor, masks: Tensor, hides: bool) -> Tensor:
     """What is around robots, int8 [*B, N, 2k + 1, 2k + 1], as ``core.sensing.surroundings``.
 
     Args:
-        walls: obstacles and robots with a border of k cells, int8 [*B, H + 2k, W + 2k].
+        walls: obstacles with a border of k cells, int8 [*B, H + 2k, W + 2k].
         own: each robot's cell in it, int64 [*B, N].
+        people: those of people, int64 [*B, W].
         masks: the shapes of sensors, bool [N or 1, 2k + 1, 2k + 1].
         hides: whether obstacles end sight.
     """
-    return torch.ops.marl_explore.surroundings.default(walls, own, masks, hides)
+    return torch.ops.marl_explore.surroundings.default(walls, own, people, masks, hides)
 
 
 def sense(

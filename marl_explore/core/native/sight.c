@@ -5,12 +5,11 @@
  * Plain C99, no dependency but the standard library; one call is one thread's share. LANES windows
  * are looked at side by side: each of their cells has a vector with a byte of every window.
  */
-#include "grid.h"
+#include "world.h"
 
 #include <stdlib.h>
 
 enum { LANES = 16, TILE = LANES * LANES };
-enum { OPEN = 0, WALL = 1, UNSEEN = 4 }; /* what a robot's surroundings hold, a bit each */
 enum { UNCOUNTED = 3 }; /* an unknown cell outside a robot's shape */
 
 typedef int8_t Lanes[LANES];
@@ -35,28 +34,6 @@ typedef struct {
     int64_t num_maps, height, width, num_kinds, side;
     int64_t hides; /* whether obstacles end sight */
 } Queries;
-
-/* What is around robots; bools are a byte each, 0 or 1. */
-typedef struct {
-    const int8_t *walls;  /* [arenas, cells], obstacles and robots with a border of UNSEEN */
-    const int64_t *own;   /* [arenas, team], each robot's cell in it */
-    const uint8_t *masks; /* [num_kinds, side, side], the shapes of sensors */
-    int8_t *view;         /* [arenas, team, side, side], the answers */
-    int64_t team, cells, width, num_kinds, side; /* of a bordered arena, its cells and width */
-    int64_t hides;                               /* whether obstacles end sight */
-} Looks;
-
-/* What robots write into their maps. */
-typedef struct {
-    const int8_t *view;      /* [arenas, team, side, side], their surroundings */
-    const int64_t *position; /* [arenas, team, 2], row and column */
-    const uint8_t *alive;    /* [arenas, team], whose maps change */
-    const uint8_t *target;   /* [arenas, height, width], cells that are counted apart */
-    int8_t *maps;            /* [arenas, team, height, width] */
-    int64_t *discovered;     /* [arenas, team], cells that were unknown */
-    int64_t *targets;        /* [arenas, team], the targets among them */
-    int64_t team, height, width, side;
-} Readings;
 
 /* Returns the memory that the work space lies in, or NULL. */
 static void *allocate(Windows *windows, int64_t side, int64_t num_kinds) {
@@ -243,15 +220,28 @@ int marl_explore_expected_discoveries(const Queries *queries, int64_t first, int
 
 /* ------------------------------------------------------------------------------- a robot's look */
 
+/* Draws what stands on some cells into the window that begins at `corner`. */
+static void draw(const int64_t *cells, int64_t number, int64_t corner, const Looks *looks,
+                 int8_t *view) {
+    const int64_t side = looks->side, width = looks->width;
+    for (int64_t i = 0; i < number; i++) {
+        const int64_t off = cells[i] - corner;
+        if (off >= 0 && off < side * width && off % width < side)
+            view[off / width * side + off % width] = ROBOT;
+    }
+}
+
 /* Copies the window around robot `robot`; its own cell is OPEN. */
 static int copy_window(const Looks *looks, int64_t robot, int8_t *view) {
     const int64_t side = looks->side, width = looks->width, own = looks->own[robot];
-    const int64_t corner = own - side / 2 * (width + 1);
+    const int64_t corner = own - side / 2 * (width + 1), arena = robot / looks->team;
     if (corner < 0 || corner + (side - 1) * (width + 1) >= looks->cells)
         return OUTSIDE;
-    const int8_t *from = looks->walls + robot / looks->team * looks->cells + corner;
+    const int8_t *from = looks->walls + arena * looks->cells + corner;
     for (int64_t row = 0; row < side; row++)
         memcpy(view + row * side, from + row * width, side);
+    draw(looks->own + arena * looks->team, looks->team, corner, looks, view);
+    draw(looks->people + arena * looks->num_people, looks->num_people, corner, looks, view);
     view[side * side / 2] = OPEN;
     return DONE;
 }
@@ -321,8 +311,9 @@ int marl_explore_sense(const Readings *readings, int64_t first, int64_t last) {
         int8_t *map = readings->maps + robot * height * width;
         const int64_t left = most(column - radius, 0), right = least(column + radius, width - 1);
         const int64_t top = most(row - radius, 0), bottom = least(row + radius, height - 1);
+        const int is_alive = readings->alive == NULL || readings->alive[robot];
         int64_t discovered = 0, targets = 0;
-        for (int64_t r = top; readings->alive[robot] && r <= bottom; r++)
+        for (int64_t r = top; is_alive && r <= bottom; r++)
             sense_row(view + (r - row + radius) * side + left - column + radius,
                       target + r * width + left, map + r * width + left, (int)(right - left + 1),
                       &discovered, &targets);

@@ -113,9 +113,8 @@ def test_both_hold_every_file_of_the_package(built, files):
         "_frontier",
         "_goals",
         "_beam",
-        "_merging",
         "_paths",
-        "_sight",
+        "_world",
     }
     assert {n for n in names if n.startswith("marl_explore/")} == files | kernels
     with tarfile.open(sdist) as archive:
