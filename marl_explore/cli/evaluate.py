@@ -30,6 +30,8 @@ class Arguments(Task):
 
     num_arenas: int | None = None
     """Test arenas, the same for every policy; default: 200, or every map of a folder once."""
+    device: str = "cpu"
+    """Where to compute: cpu, cuda, cuda:1, ... (CUDA is not tested)."""
     out: Path | None = None
     """New folder for results.json, results.csv and table.txt; default: print only."""
 
@@ -73,6 +75,7 @@ def run(arguments: Arguments) -> None:
             steps=arguments.steps,
             seed=arguments.seed,
             arenas=arguments.arenas,
+            device=arguments.device,
         )
         results[name] = metrics.summarize(episodes)
         scores[name] = metrics.per_episode(episodes)

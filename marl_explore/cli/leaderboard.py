@@ -51,6 +51,8 @@ class Arguments:
     """Folder of the results."""
     threads: int = 1
     """CPU threads of torch."""
+    device: str = "cpu"
+    """Where to compute: cpu, cuda, cuda:1, ... (CUDA is not tested)."""
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -96,6 +98,7 @@ def run(arguments: Arguments) -> None:
             num_arenas=arguments.num_arenas or place.num_arenas or by_size,
             steps=arguments.steps or place.steps,
             seed=arguments.seed,
+            device=arguments.device,
         )
 
     def cells(place: Suite) -> dict[str, list[Cell]]:

@@ -24,8 +24,8 @@ MAX_SEEDS = 10_000
 class RunConfig:
     """Execution settings of a run; ``TrainConfig`` has what is learned.
 
-    ``collector``, ``workers`` and ``threads`` affect what is learned: every worker samples its
-    actions from a random generator of its own, and torch sums in another order with more threads.
+    ``collector``, ``workers``, ``threads`` and ``device`` affect what is learned: every worker and
+    device samples actions from a random generator of its own, and sums are in another order.
 
     Raises:
         ValueError: naming the field, its value and what is allowed.
@@ -39,6 +39,8 @@ class RunConfig:
     """Ray cluster to join, "auto" or host:port; None: start Ray on this machine."""
     threads: int = 1
     """CPU threads of torch."""
+    device: str = "cpu"
+    """Where the run computes: cpu, or cuda, cuda:1, ... with collector "process" (not tested)."""
     checkpoint_every: int = 20
     """Updates between checkpoints; 0: only at the end."""
     keep_checkpoints: int = 3
@@ -68,6 +70,11 @@ class RunConfig:
             raise ValueError(
                 f"workers={self.workers} is not allowed with collector='process': use multisync, "
                 "multiasync or ray"
+            )
+        if self.collector != "process" and self.device != "cpu":
+            raise ValueError(
+                f"device={self.device!r} is not allowed with collector={self.collector!r}, whose "
+                "workers compute on the CPU: use collector='process'"
             )
         if self.ray_address is not None and self.collector != "ray":
             raise ValueError(

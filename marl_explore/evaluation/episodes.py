@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.envs import step_mdp
 
 from marl_explore.arenas import Generator, default_config, default_steps, in_order
@@ -26,6 +26,7 @@ from marl_explore.core.mapping import (
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.envs.memory import require_env_memory
 from marl_explore.evaluation.metrics import Episodes, Snapshot, snapshot
+from marl_explore.utils.devices import CPU, find_device, keep_random_state
 from marl_explore.utils.memory import require_memory
 
 Actor = Callable[[TensorDictBase], TensorDictBase]
@@ -84,7 +85,10 @@ def watch(
     """
     require_integer("arena_index", arena_index, 0)
     shared = getattr(policy, "shares_maps", False)
-    task = {"first_arena": arena_index, "terminate_at_coverage": None if shared else 1.0}
+    task: dict[str, Any] = {
+        "first_arena": arena_index,
+        "terminate_at_coverage": None if shared else 1.0,
+    }
     with _test_env(config, steps, seed, stream, arenas, **task) as env:
         episode = play(policy, env, env.max_steps, until_done=True)
         return list(_until_shared(episode) if shared else episode)
@@ -97,6 +101,7 @@ def _test_env(
     seed: int,
     stream: str,
     arenas: str | Generator,
+    device: torch.device = CPU,
     **task: Any,
 ) -> Iterator[ExplorationEnv]:
     """Test arenas, without gradients; random numbers in this context follow from the seed."""
@@ -105,8 +110,10 @@ def _test_env(
     require_integer("seed", seed, 0)
     config = default_config(arenas) if config is None else config
     arenas = in_order(arenas, config)
-    env = ExplorationEnv(config, max_steps=steps, arenas=arenas, seed=seed, stream=stream, **task)
-    with torch.random.fork_rng(devices=[]), torch.no_grad():
+    env = ExplorationEnv(
+        config, max_steps=steps, arenas=arenas, seed=seed, stream=stream, device=device, **task
+    )
+    with keep_random_state(device), torch.no_grad():
         torch.manual_seed(seed)
         yield env
 
@@ -138,6 +145,7 @@ def record(
     seed: int = 0,
     stream: str = TEST_STREAM,
     arenas: str | Generator = "uniform",
+    device: str = "cpu",
 ) -> Episodes:
     """Run a policy once on every arena, deterministic given the seed.
 
@@ -149,12 +157,23 @@ def record(
         seed: of the arenas and of sampled actions; the global random state is restored.
         stream: family of arenas.
         arenas: a suite's name or a generator, as for ``ExplorationEnv``.
+        device: where arenas are stepped and the policy acts, which is moved there; sampled actions
+            depend on it.
+
+    Returns:
+        Tensors on the CPU.
+
+    Raises:
+        ValueError: for a setting that is not allowed, or a device that this machine has not.
     """
     steps = default_steps(arenas) if steps is None else steps
     require_recording(config or default_config(arenas), num_arenas, steps)
-    with _test_env(config, steps, seed, stream, arenas, num_envs=num_arenas) as env:
+    place = find_device(device)
+    if isinstance(policy, nn.Module):
+        policy = policy.to(place)
+    with _test_env(config, steps, seed, stream, arenas, place, num_envs=num_arenas) as env:
         shared = getattr(policy, "shares_maps", False)
-        return measure_steps(play(policy, env, env.max_steps), env.config, shared)
+        return measure_steps(play(policy, env, env.max_steps), env.config, shared).cpu()
 
 
 def require_recording(config: ArenaConfig, num_arenas: int, steps: int) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -87,6 +87,13 @@ class Episodes(NamedTuple):
     """Robots that have not failed, bool [B, T + 1, N]."""
     max_discovery: int | tuple[int, ...]
     """e_max; one per robot if they differ."""
+
+    def cpu(self) -> Episodes:
+        """The same with all tensors on the CPU."""
+        moved: dict[str, Any] = {
+            name: entry.cpu() for name, entry in self._asdict().items() if isinstance(entry, Tensor)
+        }
+        return self._replace(maps=Snapshot(*(entry.cpu() for entry in self.maps)), **moved)
 
     @property
     def horizon(self) -> int:

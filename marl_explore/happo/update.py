@@ -52,6 +52,7 @@ def sequential_update(
             step(name, output.select("loss_objective", "loss_entropy"))
         for key, values in reports.items():
             values.append(output[key].item())
-    factor = batch.get(loss.tensor_keys.factor, torch.ones(1))  # a single actor leaves none
+    single = torch.ones(1, device=batch.device)  # an actor alone leaves no factor
+    factor = batch.get(loss.tensor_keys.factor, single)
     means = {key: sum(values) / len(values) for key, values in reports.items()}
     return means | factor_statistics(factor)

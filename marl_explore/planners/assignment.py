@@ -84,8 +84,8 @@ def hungarian(auction: Auction) -> Tensor:
         places, robots = frontier.nonzero().squeeze(-1), present.nonzero().squeeze(-1)
         if len(places):
             cost = auction.distance[row][robots][:, places]
-            who, where = linear_sum_assignment(cost.numpy())
-            mine = where[robots[who].numpy() == me]
+            who, where = linear_sum_assignment(cost.cpu().numpy())
+            mine = where[robots[who].cpu().numpy() == me]
             # more robots than frontiers: a robot without one goes to the nearest
             own = auction.distance[row, me, places].argmin() if not len(mine) else mine[0]
             target[row] = places[int(own)]

@@ -91,7 +91,7 @@ class ArgmaxPolicy(TensorDictModuleBase):
     def _remember(self, tensordict: TensorDictBase) -> Tensor:
         """Steps since each robot's map last grew, int64 [*B, N]; 0 at the start of an episode."""
         known = known_cells(known_mask(tensordict.get(MAP)))
-        if self._known.shape != known.shape:
+        if self._known.shape != known.shape or self._known.device != known.device:
             self._known = self._since = torch.zeros_like(known)
         grown = (known > self._known) | (tensordict.get(STEP) == 0)
         self._since = torch.where(grown, 0, self._since + 1)

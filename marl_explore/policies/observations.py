@@ -25,13 +25,13 @@ def robot_observation(tensordict: TensorDictBase, arena: int, robot: int) -> Obs
 def robot_observations(tensordict: TensorDictBase) -> Callable[[int, int], Observation]:
     """What robots observe in a step of an environment: a function of arena and robot.
 
-    The arrays of an observation are views of the environment's tensors.
+    The arrays of an observation are views of the environment's tensors, where those are on the CPU.
 
     Args:
         tensordict: with the entries of ``ExplorationEnv``, batch [B]; FPR and NET are 0 where it
             does not have them.
     """
-    team = tensordict.get("agents")
+    team = tensordict.get("agents").cpu()
     cells = [[tuple(cell) for cell in row] for row in team.get("position").tolist()]
     steps = tensordict.get("step_count").flatten().tolist()
     own = ("action_mask", "map", "unshared", "steps_since_merge", "linked", "dangerous")

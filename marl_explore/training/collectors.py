@@ -51,6 +51,15 @@ class ResumableCollector(Collector):
         super().__init__(*args, **options)
         self._reports = reports
 
+    @property
+    def _generator(self) -> torch.Generator | None:
+        """That of the device, if actions are not drawn from the CPU's."""
+        device = self.env.device
+        if device.type != "cuda":
+            return None
+        number = torch.cuda.current_device() if device.index is None else device.index
+        return torch.cuda.default_generators[number]
+
     def rollout(self) -> TensorDictBase:
         """The next batch [B, T]; the actors of a team run as one network."""
         team = isinstance(self.policy, TeamActor)
@@ -76,6 +85,8 @@ class ResumableCollector(Collector):
             returns = self.env.full_reward_spec.zero()["reward"]
         tensors = {name: value.clone() for name, value in state.items() if name != "seed"}
         tensors |= {"returns": returns, "random": torch.get_rng_state()}
+        if self._generator is not None:
+            tensors["device_random"] = self._generator.get_state()
         if self._memory is not None:
             tensors |= {_REMEMBERED + name: x.clone() for name, x in self._memory.items()}
         return {"packed": save(tensors)}
@@ -83,7 +94,8 @@ class ResumableCollector(Collector):
     def load_state_dict(self, state_dict: dict[str, bytes], **_: Any) -> None:
         """Resume from a ``state_dict`` of a collector of the same arenas."""
         tensors = load(state_dict["packed"])
-        random, returns = tensors.pop("random"), tensors.pop("returns")
+        random, returns = tensors.pop("random"), tensors.pop("returns").to(self.env.device)
+        device_random = tensors.pop("device_random", None)
         remembered = {
             name.removeprefix(_REMEMBERED): tensors.pop(name)
             for name in [*tensors]
@@ -93,7 +105,8 @@ class ResumableCollector(Collector):
         env.load_state_dict({**tensors, "seed": env.state_dict()["seed"]})
         given = TensorDict({}, batch_size=env.batch_size)
         if remembered:
-            self._memory = TensorDict(remembered, batch_size=remembered["heading"].shape)
+            shape = remembered["heading"].shape
+            self._memory = TensorDict(remembered, batch_size=shape, device=self.env.device)
             given.set(MEMORY, self._memory)
         observed = self.env.reset(given)  # of the loaded arenas
         # then a reset of no arena, which keeps the returns that it is given
@@ -101,6 +114,8 @@ class ResumableCollector(Collector):
         self.reset(tensordict=observed.set("episode_reward", returns), set_state=False)
         self._returns = returns
         torch.set_rng_state(random)
+        if self._generator is not None and device_random is not None:
+            self._generator.set_state(device_random)
 
     def load_weights(self, packed: bytes) -> None:
         """Act with these parameters from now on."""

@@ -9,7 +9,7 @@ from marl_explore.training.config import TrainConfig
 
 
 def make_training_env(
-    config: TrainConfig, num_envs: int | None = None, first_arena: int = 0
+    config: TrainConfig, num_envs: int | None = None, first_arena: int = 0, device: str = "cpu"
 ) -> EnvBase:
     """The environment of a training run, or a part of its arenas, with episode returns."""
     env = make_env(
@@ -21,6 +21,7 @@ def make_training_env(
         arenas=config.arenas,
         seed=config.seed,
         first_arena=first_arena,
+        device=device,
         fpr=config.fpr,
         features=config.network.features,
     )

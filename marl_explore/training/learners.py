@@ -30,11 +30,13 @@ TEAM = "team"
 """Name of the single learner of HAPPO and MAPPO, and of MAPPO's actor."""
 
 
-def make_learners(config: TrainConfig, policy: Policy) -> dict[str, Learner]:
-    """The learners of a policy's actors, by name."""
+def make_learners(
+    config: TrainConfig, policy: Policy, device: torch.device | str = "cpu"
+) -> dict[str, Learner]:
+    """The learners of a policy's actors, by name, on the device of the policy."""
     if config.algorithm == "mappo":
         team = probabilistic_actor(MultiAgentActors(policy.actors))
-        return {TEAM: Learner(config, _loss(config, {TEAM: team}, {}))}
+        return {TEAM: Learner(config, _loss(config, {TEAM: team}, {}).to(device))}
     kind, groups = ("type" if config.actors == "type" else "robot"), policy.config.groups
     actors = {f"{kind}_{i}": probabilistic_actor(actor) for i, actor in enumerate(policy.actors)}
     views: dict[str, View] = {
@@ -42,9 +44,9 @@ def make_learners(config: TrainConfig, policy: Policy) -> dict[str, Learner]:
         for name, group in zip(actors, groups, strict=True)
     }
     if config.algorithm == "happo":
-        return {TEAM: Learner(config, _loss(config, actors, views))}
+        return {TEAM: Learner(config, _loss(config, actors, views).to(device))}
     return {
-        name: Learner(config, _loss(config, {name: actor}, {name: views[name]}, robot))
+        name: Learner(config, _loss(config, {name: actor}, {name: views[name]}, robot).to(device))
         for robot, (name, actor) in enumerate(actors.items())
     }
 
@@ -151,7 +153,7 @@ class Learner:
             if self.config.num_minibatches == 1:
                 yield batch
                 continue
-            order = torch.randperm(len(batch), generator=generator)
+            order = torch.randperm(len(batch), generator=generator).to(batch.device)
             for rows in order.tensor_split(self.config.num_minibatches):
                 # several times faster than batch[rows], which uses advanced indexing
                 yield batch.apply(

@@ -24,6 +24,7 @@ from marl_explore.training.nan_guard import require_finite_batch
 from marl_explore.training.restarts import RestartingCollector
 from marl_explore.training.rollout_metrics import rollout_metrics
 from marl_explore.training.scenes import SceneRollouts, join_scenes
+from marl_explore.utils.devices import find_device
 
 
 class Trainer:
@@ -35,7 +36,7 @@ class Trainer:
 
     Args:
         config: the run.
-        run: execution settings; only the collector matters here.
+        run: execution settings; only the collector and the device matter here.
         fresh: whether the actors start from those of ``config.init_from``; a resumed run gets all
             weights from its checkpoint instead.
     """
@@ -47,13 +48,15 @@ class Trainer:
         scenes = config.scene_configs
         require_collector(run, scenes[0].num_envs)
         require_training_memory(config)
+        self.device = find_device(run.device)
         torch.manual_seed(config.seed)
         self.config = config
         built = policy_config(config)
         self.policy = Policy(built, built.make_actors())
         if fresh and config.init_from is not None:
             self.policy.init_from(load_policy(config.init_from))
-        self.learners = make_learners(config, self.policy)
+        self.policy.to(self.device)
+        self.learners = make_learners(config, self.policy, self.device)
         if config.compile:
             critics = [learner.critic for learner in self.learners.values()]
             for network in (*self.policy.actors, *(critic.module for critic in critics)):
@@ -67,7 +70,7 @@ class Trainer:
         """The collector of one scene's rollouts."""
         make = partial(
             make_collector,
-            partial(make_training_env, config),
+            partial(make_training_env, config, device=run.device),
             self.policy.team,
             num_envs=config.num_envs,
             steps=config.rollout_steps,
@@ -146,7 +149,7 @@ class Trainer:
         """One update of every learner on a batch [B, T]; metrics are means over learners."""
         dtype = getattr(torch, self.config.precision)
         number = self.updates + 1
-        with torch.autocast("cpu", dtype, enabled=dtype != torch.float32):
+        with torch.autocast(self.device.type, dtype, enabled=dtype != torch.float32):
             each = [
                 learner.update(batch.copy(), self.generator, number)
                 for learner in self.learners.values()

@@ -26,6 +26,7 @@ from marl_explore.evaluation.stats import middle_half
 from marl_explore.planners import PLANNERS, counting_bound
 from marl_explore.policies.io import policy_digest
 from marl_explore.utils import records
+from marl_explore.utils.devices import find_device
 from marl_explore.utils.files import write_text
 from marl_explore.utils.json_files import digest, read_json
 
@@ -46,6 +47,7 @@ class Cell:
     num_arenas: int
     steps: int
     seed: int
+    device: str = "cpu"
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -62,7 +64,7 @@ class Cell:
             "steps": self.steps,
             "seed": self.seed,
             "stream": TEST_STREAM,
-        }
+        } | ({} if self.device == "cpu" else {"device": self.device})
 
     @property
     def kind(self) -> Kind:
@@ -106,6 +108,7 @@ def make_cells(folder: Path, cells: Iterable[Cell], progress: bool = True) -> di
     """
     cells = list(dict.fromkeys(cells))
     for cell in cells:
+        find_device(cell.device)
         require_recording(cell.suite.config, cell.num_arenas, cell.steps)
         if cell.policy != BOUND:
             find_policy(cell.policy, cell.suite.config)
@@ -198,6 +201,7 @@ def _played(cell: Cell) -> dict[str, Any]:
         steps=cell.steps,
         seed=cell.seed,
         arenas=cell.suite.arenas,
+        device=cell.device,
     )
     return {
         "reference": bool(getattr(policy, "reference", False)),
