@@ -13,7 +13,7 @@ import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore import ArenaConfig, make_env
 from marl_explore.evaluation.plots.style import STYLE, line_styles, save
 
@@ -74,7 +74,7 @@ def draw(curves: dict[str, dict[str, dict[int, float]]], path: str | Path) -> No
 def main() -> None:
     torch.set_num_threads(1)
     curves = {}
-    print(f"env.step with FPR and NET, us per observation, one thread, torch {torch.__version__}")
+    print(f"env.step with FPR and NET, us per observation, {conditions()}")
     for name, points in CURVES.items():
         curves[name] = measure(points, repeats=7)
         print(f"{name:>28}" + "".join(f"{x:>9}" for x in points))

@@ -12,7 +12,7 @@ from itertools import cycle
 import torch
 
 from benchmarks.baselines import PythonExploration
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore import ArenaConfig, make_env
 from marl_explore.planners import PLANNERS
 from marl_explore.training.collectors import make_collector
@@ -99,7 +99,7 @@ def main() -> None:
     torch.set_num_threads(1)
     rates = measure()
     ours = rates["ours, auto"]
-    print(f"env.step, 512 arenas x {ROBOTS} robots, one thread, torch {torch.__version__}")
+    print(f"env.step, 512 arenas x {ROBOTS} robots, {conditions()}")
     for name, rate in rates.items():
         print(f"{name:>24}: {rate / 1e3:10.1f} k robot-steps/s, ours is {ours / rate:7.2f} x")
 

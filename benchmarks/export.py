@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.policies.actors import probabilistic_actor
 from marl_explore.policies.export import INPUTS, Deployed, example_inputs, export_npz, export_onnx
@@ -64,7 +64,7 @@ def main() -> None:
     warnings.simplefilter("ignore")  # of the exporter
     results = {name: measure(network) for name, network in NETWORKS.items()}
     contenders = list(next(iter(results.values())))
-    print(f"microseconds per decision of one robot, one thread, torch {torch.__version__}")
+    print(f"microseconds per decision of one robot, {conditions()}")
     print(f"{'':>22}" + "".join(f"{name:>16}" for name in results))
     for contender in contenders:
         row = "".join(f"{result[contender]:16.0f}" for result in results.values())

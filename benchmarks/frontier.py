@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 
 from benchmarks.baselines import astar_table, bfs_table
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.core import native
 from marl_explore.core.frontier import feature_table
@@ -47,7 +47,7 @@ def measure(num_envs: int = 512, repeats: int = 7, sample: int = 200) -> dict[st
 def main() -> None:
     torch.set_num_threads(1)
     result = measure()
-    print(f"FPR, 512 arenas x 4 robots, 12 x 12 cells, one thread, torch {torch.__version__}")
+    print(f"FPR, 512 arenas x 4 robots, 12 x 12 cells, {conditions()}")
     ours = [name for name in ("torch", "native") if name in result]
     print(f"{'us per observation':>36}" + "".join(f"{'over ' + name:>14}" for name in ours))
     for name, value in result.items():

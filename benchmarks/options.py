@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import torch
 
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from benchmarks.training import Iteration
 from marl_explore.training.presets import PRESETS
 
@@ -35,7 +35,7 @@ def main() -> None:
     torch.set_num_threads(1)
     preset = sys.argv[1] if len(sys.argv) > 1 else "paper-mlp-case2"
     seconds = measure(preset)
-    print(f"one iteration of {preset}, one thread, torch {torch.__version__}")
+    print(f"one iteration of {preset}, {conditions()}")
     for name, value in seconds.items():
         print(f"{name:>20}: {value:7.3f} s, {seconds['float32'] / value:5.2f} times as fast")
 

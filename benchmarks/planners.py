@@ -15,7 +15,7 @@ from functools import partial
 import torch
 from tensordict import TensorDictBase
 
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore import PLANNERS, ArenaConfig, ExplorationEnv, Rooms, play
 
 ASSIGNMENTS = ("nearest", "utility-cost", "sequential", "hungarian")
@@ -62,7 +62,7 @@ def _decide(planner: Callable[[TensorDictBase], object], now: TensorDictBase) ->
 
 def main() -> None:
     torch.set_num_threads(1)
-    print(f"one decision of a team, one thread, torch {torch.__version__}")
+    print(f"one decision of a team, {conditions()}")
     for name in SITUATIONS:
         found = measure(name)
         for planner, milliseconds in found.items():

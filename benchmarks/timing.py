@@ -7,8 +7,17 @@ import statistics
 import time
 from collections.abc import Callable
 
+import torch
+
+import marl_explore
+
 TURN_SECONDS = 0.1
 """Least length of a turn: who follows another would else be timed on cold caches."""
+
+
+def conditions() -> str:
+    """What times depend on besides the machine: threads, torch, and whether there are kernels."""
+    return f"one thread, torch {torch.__version__}, {marl_explore.backend()}"
 
 
 def medians(contenders: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import torch
 
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore.policies.networks import MLP, OBSERVATION_KEYS
 from marl_explore.training.config import TrainConfig
 from marl_explore.training.presets import PRESETS
@@ -116,7 +116,7 @@ def main() -> None:
     for preset in ("paper-mlp-case2", "fast"):
         seconds = measure(preset)
         whole = seconds["iteration"]
-        print(f"one iteration of {preset}, one thread, torch {torch.__version__}")
+        print(f"one iteration of {preset}, {conditions()}")
         for name, value in seconds.items():
             print(f"{name:>24}: {value:8.3f} s {value / whole:7.1%} of the iteration")
         if "bare products" in seconds:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import torch
 
-from benchmarks.timing import medians
+from benchmarks.timing import conditions, medians
 from marl_explore import ArenaConfig, make_env, suite
 from marl_explore.arenas import resolve
 
@@ -63,7 +63,7 @@ def curve(points: dict[int, tuple[int, ArenaConfig]], repeats: int) -> dict[int,
 
 def main() -> None:
     torch.set_num_threads(1)
-    print(f"env.step with FPR and NET, one thread, torch {torch.__version__}")
+    print(f"env.step with FPR and NET, {conditions()}")
     seconds = lidar_and_plain(512, repeats=9)
     for name, value in seconds.items():
         ratio = value / seconds["3 x 3, radio by range"]

@@ -26,7 +26,9 @@ from benchmarks import (
 )
 from benchmarks.baselines import astar_table, bfs_table
 from benchmarks.faults import lines, mutants
+from benchmarks.timing import conditions
 from marl_explore import ArenaConfig, ExplorationEnv, find_policy, record
+from marl_explore.core import native
 from marl_explore.core.frontier import feature_table
 from marl_explore.evaluation import metrics
 from marl_explore.policies.networks import MLP
@@ -256,3 +258,9 @@ def test_a_wrong_line_that_is_accepted_is_a_fault(monkeypatch):
     monkeypatch.setattr(lines, "GIANT", (("--version",),))
     (fault,) = lines.refuse_lines(1)
     assert fault.startswith("'--version': 0")
+
+
+def test_times_say_whether_there_were_kernels(monkeypatch):
+    assert f"{torch.__version__}, native" in conditions()
+    monkeypatch.setattr(native, "_load", lambda name: OSError("it was not built"))
+    assert conditions().endswith("torch: the native kernel is missing, it was not built")
