@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from marl_explore import default_config, default_steps
+from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.evaluation.episodes import TEST_STREAM, play
@@ -46,24 +47,29 @@ class Count:
     incomplete: int = 0
 
 
-def measure(names: str, task: str, seed: int, stream: str = TEST_STREAM) -> Count:
-    """Play a task with every training seed of a policy."""
+def read_task(task: str) -> tuple[str, ArenaConfig, int]:
+    """Kind of arenas, the team in them and the number of arenas of a task, "open-24/6:200"."""
     where, _, number = task.partition(":")
     arenas, _, robots = where.partition("/")
-    config = replace(default_config(arenas), num_agents=int(robots))
+    return arenas, replace(default_config(arenas), num_agents=int(robots)), int(number)
+
+
+def measure(names: str, task: str, seed: int, stream: str = TEST_STREAM) -> Count:
+    """Play a task with every training seed of a policy."""
+    arenas, config, number = read_task(task)
     longest, count = default_steps(arenas), Count()
     for name in names.split(","):
         torch.manual_seed(seed)
         env = ExplorationEnv(
             config,
-            num_envs=int(number),
+            num_envs=number,
             max_steps=longest,
             arenas=arenas,
             seed=seed,
             stream=stream,
             terminate_at_coverage=1.0,
         )
-        steps = torch.full((int(number),), longest + 1)
+        steps = torch.full((number,), longest + 1)
         for step, seen in enumerate(play(find_policy(name, config), env, longest, True)):
             if step == 0:
                 continue

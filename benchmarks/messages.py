@@ -24,7 +24,8 @@ from matplotlib.figure import Figure
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from marl_explore.arenas import default_config, default_steps
+from benchmarks.completion import read_task
+from marl_explore.arenas import default_steps
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.goals import GoalWeights
 from marl_explore.core.grid import COMMUNICATE, STAY
@@ -136,9 +137,7 @@ def measure(
     names: Sequence[str], task: str, seed: int = 0, stream: str = TEST_STREAM
 ) -> dict[str, dict[str, Scores]]:
     """Scores by policy and by how much robots communicate."""
-    where, _, number = task.partition(":")
-    arenas, _, robots = where.partition("/")
-    config = replace(default_config(arenas), num_agents=int(robots))
+    arenas, config, number = read_task(task)
     free = replace(config, communication_range=math.inf, wall_loss_db=0.0)
     results: dict[str, dict[str, Scores]] = {}
     for name in names:
@@ -149,7 +148,7 @@ def measure(
         }
         cases |= {f"every {n} steps": (with_timer(name, config, n), config) for n in TIMERS}
         for case, (policy, world) in cases.items():
-            scores = play(policy, world, arenas, int(number), seed, stream)
+            scores = play(policy, world, arenas, number, seed, stream)
             results.setdefault(name, {})[case] = scores
             print(
                 f"{task} {name}, {case}: {scores.to_100.mean():.1f} steps, "

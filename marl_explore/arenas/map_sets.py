@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ from typing import NamedTuple
 from marl_explore.arenas.maps import Reading
 from marl_explore.arenas.sources import MapSource
 from marl_explore.config.checks import require
+from marl_explore.utils.files import file_digest
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,6 @@ class Comparison(NamedTuple):
 
     missing: tuple[str, ...]
     different: tuple[str, ...]
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _few(names: tuple[str, ...], shown: int = 3) -> str:

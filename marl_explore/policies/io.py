@@ -5,7 +5,6 @@ They hold only weights, and a SHA-256 of their contents; nothing in them is exec
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from marl_explore.policies.migrate import migrated
 from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.utils.files import file_digest
 from marl_explore.utils.json_files import parse_object
 from marl_explore.utils.memory import require_memory
 from marl_explore.utils.tensor_files import read_tensors, write_tensors
@@ -106,7 +106,7 @@ def require_weights(weights: Mapping[str, Tensor], where: str) -> None:
 
 def policy_digest(path_or_name: str | Path) -> str:
     """SHA-256 of a policy's file."""
-    return hashlib.sha256(_find(path_or_name).read_bytes()).hexdigest()
+    return file_digest(_find(path_or_name))
 
 
 def list_policies() -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -21,6 +20,7 @@ from marl_explore.robot import Envelope, Pose, RobotCore, Scan
 from marl_explore.robot.driving import Velocity
 from marl_explore.robot.geometry import Mount
 from marl_explore.ros2 import convert
+from marl_explore.utils.files import file_digest
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 _KINDS = {
@@ -143,7 +143,7 @@ def _check_sums(folder: Path) -> None:
 def _digests(folder: Path) -> dict[str, str]:
     """SHA-256 of the files in a folder by name, but for the file of checksums."""
     files = sorted(file for file in folder.iterdir() if file.name != CHECKSUMS)
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    return {file.name: file_digest(file) for file in files}
 
 
 def _unreadable(path: str | Path, error: Exception) -> ValueError:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from marl_explore.arenas import MapSource
-from marl_explore.arenas.map_sets import DUNGEONS, MapSet, file_digest
+from marl_explore.arenas.map_sets import DUNGEONS, MapSet
 from marl_explore.arenas.sources import MAP_STEPS, MapSuite, suite_of
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require, require_integer, require_positive
+from marl_explore.utils.files import file_digest
 
 SEED = 0
 """Of the starts, of what happens in the world, and of sampled actions."""
