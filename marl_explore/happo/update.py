@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Literal, get_args
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -12,6 +13,10 @@ from marl_explore.happo.loss import HAPPOLoss
 
 REPORTED = ("loss_objective", "entropy", "kl_approx", "clip_fraction")
 """Diagnostics of an actor's loss that an update reports."""
+
+UpdateOrder = Literal["random", "fixed", "simultaneous"]
+"""A new order of the actors for every batch, as in HAPPO; that of their names; or all from the same
+batch, none weighted by others."""
 
 Passes = Callable[[TensorDictBase, list[NestedKey]], Iterable[TensorDictBase]]
 Step = Callable[[str, TensorDictBase], object]
@@ -23,6 +28,7 @@ def sequential_update(
     passes: Passes,
     step: Step,
     generator: torch.Generator | None = None,
+    order: UpdateOrder = "random",
 ) -> dict[str, float]:
     """Update every actor in turn, each weighted by the ratios of those before it (Zhong et al.).
 
@@ -37,15 +43,21 @@ def sequential_update(
         step: takes the actor's name and its losses, "loss_objective" and "loss_entropy", and
             minimises their sum.
         generator: of the order of actors.
+        order: "fixed" and "simultaneous" are for ablations.
 
     Returns:
         ``REPORTED`` on the last minibatches, means over actors, and
         ``diagnostics.factor_statistics``.
+
+    Raises:
+        ValueError: for an unknown order.
     """
+    if order not in get_args(UpdateOrder):
+        raise ValueError(f"order={order!r} is not one of {get_args(UpdateOrder)}")
     reports: dict[str, list[float]] = {key: [] for key in REPORTED}
-    order = loss.update_order(generator)
-    for previous, name in zip([None, *order], order, strict=False):
-        if previous is not None:
+    names = loss.update_order(generator) if order == "random" else loss.names
+    for previous, name in zip([None, *names], names, strict=False):
+        if previous is not None and order != "simultaneous":
             loss.update_factor(batch, previous)
         for part in passes(batch, loss.actor_keys(name)):
             output = loss.actor_loss(part, name)

@@ -17,6 +17,7 @@ from marl_explore.config.checks import (
 )
 from marl_explore.config.constants import Ability
 from marl_explore.config.fields import check_types
+from marl_explore.happo.update import UpdateOrder
 from marl_explore.policies.networks import MLP, CriticInput, Network, NetworkSettings
 from marl_explore.policies.networks.ablation import require_abilities
 from marl_explore.training.worlds import random_world
@@ -42,6 +43,8 @@ class TrainConfig(NetworkSettings):
     actors: Literal["robot", "type"] = "robot"
     """Whether happo has an actor per robot, or one per type of robots: those with the same sensor,
     radio and speed."""
+    update_order: UpdateOrder = "random"
+    """Order in which happo updates its actors; fixed and simultaneous are for ablations."""
     network: Network = field(default_factory=MLP)
     """Kind of network for the actors and the critic, with its options."""
     init_from: str | None = None
@@ -145,6 +148,12 @@ class TrainConfig(NetworkSettings):
             "actors",
             self.actors,
             "it needs algorithm='happo' and robots that differ",
+        )
+        require(
+            self.update_order == "random" or self.algorithm == "happo",
+            "update_order",
+            self.update_order,
+            "only happo updates its actors in an order",
         )
 
     def _require_scenes(self) -> None:

@@ -118,7 +118,9 @@ class Learner:
         require_finite(learned, number, "critic")
         passes = partial(self._minibatches, generator=generator)
         step = partial(self._step, number=number)
-        metrics = sequential_update(self.loss, batch, passes, step, generator)
+        metrics = sequential_update(
+            self.loss, batch, passes, step, generator, self.config.update_order
+        )
         for part in passes(batch, self.loss.critic_keys):
             output = self.loss.critic_loss(part)
             step("critic", output.select("loss_critic"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 
+import pytest
 import torch
 from tensordict import TensorDict
 
@@ -64,3 +65,35 @@ def test_a_single_actor_needs_no_factor():
     assert "factor" not in batch
     assert reported["factor_ess"] == 1
     assert isinstance(batch, TensorDict)
+
+
+@pytest.mark.parametrize("order", ["fixed", "simultaneous"])
+def test_actors_are_updated_in_the_order_of_their_names_or_all_from_the_same_batch(order):
+    ours = make_team()
+    by_hand = copy.deepcopy(ours)
+    batch, steps = by_hand.batch.reshape(-1), optimizers(by_hand)
+    for name in by_hand.loss.names:
+        losses = by_hand.loss.actor_loss(batch, name)
+        descend(steps[name], losses.select("loss_objective", "loss_entropy"))
+        if order == "fixed" and name != by_hand.loss.names[-1]:
+            by_hand.loss.update_factor(batch, name)
+
+    flat, steps, seen = ours.batch.reshape(-1), optimizers(ours), []
+
+    def step(name, losses):
+        seen.append(name)
+        descend(steps[name], losses)
+
+    reported = sequential_update(ours.loss, flat, lambda data, _: [data], step, order=order)
+    assert seen == ours.loss.names
+    assert all_equal(parameters_of(ours.loss), parameters_of(by_hand.loss))
+    assert ("factor" in flat) == (order == "fixed")
+    assert (reported["factor_ess"] == 1) == (order == "simultaneous")
+
+
+def test_an_unknown_order_is_refused():
+    team = make_team()
+    with pytest.raises(ValueError, match="order='backwards' is not one of"):
+        sequential_update(
+            team.loss, team.batch.reshape(-1), lambda *_: [], lambda *_: None, order="backwards"
+        )

@@ -70,3 +70,14 @@ def test_happo_updates_an_actor_per_type_in_turn(network):
 def test_actors_of_types_need_happo_and_types(settings):
     with pytest.raises(ValueError, match="actors='type' is not allowed: .* robots that differ"):
         replace(run(), **settings)
+
+
+def test_the_order_of_updates_is_for_happo():
+    assert run(update_order="simultaneous").update_order == "simultaneous"
+    with pytest.raises(ValueError, match="update_order='fixed' is not allowed: only happo"):
+        replace(run(), algorithm="mappo", actors="robot", update_order="fixed")
+
+
+def test_simultaneous_updates_have_no_factor():
+    (metrics,) = [next(Trainer(run(update_order="simultaneous", actor_lr=1e-2)).run())]
+    assert (metrics["factor_ess"], metrics["factor_max"]) == (1, 1)
