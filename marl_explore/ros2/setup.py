@@ -7,6 +7,8 @@ from setuptools import Extension, find_packages, setup
 NAME = "marl_explore_ros2"
 HERE = Path(__file__).parent
 SHARE = f"share/{NAME}"
+WORLD = ("merging", "sight", "step")
+"""C files of one kernel."""
 
 
 def files(folder: str) -> list[str]:
@@ -16,15 +18,19 @@ def files(folder: str) -> list[str]:
 
 def kernels() -> list[Extension]:
     """The C kernels of pyproject.toml; without a compiler the package works with numpy alone."""
-    # paths relative to this file, as setuptools wants them
+    libraries: dict[str, list[str]] = {}
+    for path in sorted((HERE / "../core/native").glob("*.c")):
+        library = "world" if path.stem in WORLD else path.stem
+        # paths relative to this file, as setuptools wants them
+        libraries.setdefault(library, []).append(f"../core/native/{path.name}")
     return [
         Extension(
-            f"marl_explore.core.native._{path.stem}",
-            [f"../core/native/{path.name}"],
+            f"marl_explore.core.native._{library}",
+            sources,
             extra_compile_args=["-O3", "-std=c99", "-ffp-contract=off"],
             optional=True,
         )
-        for path in sorted((HERE / "../core/native").glob("*.c"))
+        for library, sources in libraries.items()
     ]
 
 
