@@ -217,7 +217,9 @@ def advance(
         if reach is not None:
             return _advance_at_once(config, state, action, reach)
         if backend == "native":
-            raise ValueError("backend='native' is not allowed: these arenas have hindrances")
+            raise ValueError(
+                "backend='native' is not allowed: it takes arenas without hindrances, on the CPU"
+            )
     alive, key, time = state.alive, state.draw_key, state.step_count
     may_move = in_turn(config.move_period, living, time)
     moves = action if may_move is None else torch.where(may_move, action, STAY)
@@ -226,10 +228,12 @@ def advance(
     walkers = state.walkers
     if config.num_walkers:
         walkers = move_walkers(walkers, position, state.obstacles, key, time)
-    view = surroundings(state.walls, position, config.sight, walkers)
+    parts: Backend = "torch" if backend == "torch" else "auto"
+    view = surroundings(state.walls, position, config.sight, walkers, parts)
     linked = links(config, position, state.obstacles, state.reach, living)
-    sensed = sense(state.map, view, position, state.target, living)
-    exchanged = exchange(sensed.map, state, carrying(config, linked, key, time), action)
+    sensed = sense(state.map, view, position, state.target, living, parts)
+    carried = carrying(config, linked, key, time)
+    exchanged = exchange(sensed.map, state, carried, action, parts)
     network = exchanged.network
     if config.failure_rate:
         robots = torch.arange(action.shape[-1], device=action.device)

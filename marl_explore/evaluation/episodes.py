@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.envs import step_mdp
 
 from marl_explore.arenas import Generator, default_config, default_steps, in_order
@@ -169,8 +169,8 @@ def record(
     steps = default_steps(arenas) if steps is None else steps
     require_recording(config or default_config(arenas), num_arenas, steps)
     place = find_device(device)
-    if isinstance(policy, nn.Module):
-        policy = policy.to(place)
+    if (move := getattr(policy, "to", None)) is not None:
+        policy = move(place)
     with _test_env(config, steps, seed, stream, arenas, place, num_envs=num_arenas) as env:
         shared = getattr(policy, "shares_maps", False)
         return measure_steps(play(policy, env, env.max_steps), env.config, shared).cpu()

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require
@@ -117,6 +117,12 @@ class TeamPolicy:
             self._act = _made(name, found, {"config": config})
         else:
             self._act = copy.deepcopy(found)  # some remember their episode
+
+    def to(self, device: torch.device) -> TeamPolicy:
+        """The same with its weights on a device."""
+        if isinstance(self._act, nn.Module):
+            self._act.to(device)
+        return self
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action").

@@ -156,6 +156,8 @@ class RobotCore:
         self._intents: dict[int, Intent] = {}
         self._legs: list[GridCell] = []
         self._passed: list[GridCell] = []
+        self._driven: set[GridCell] = set()
+        """Cells that it has driven through since it sensed last."""
         self._shut: dict[GridCell, float] = {}
         self._chance = np.random.default_rng(robot)
         self.refused_data: tuple[float, Status] | None = None
@@ -305,9 +307,10 @@ class RobotCore:
         seen = sight(scan, own, others, self.frame, radius, settings.beams, astray)
         cell = self.frame.cell(own.x, own.y)
         if self.jumps.admits(own, self.knowledge.fit(cell, seen), self.tick):
-            self.knowledge.sense(cell, seen, self.tick, self._passed)
+            self.knowledge.sense(cell, seen, self.tick, self._driven)
         else:
-            self.knowledge.pass_time()
+            self.knowledge.pass_time()  # and it may not have been where it seemed to drive
+        self._driven.clear()
 
     def _was_refused(self, cell: GridCell) -> bool:
         """Whether the last decision was a move that did not lead to its target."""
@@ -412,6 +415,8 @@ class RobotCore:
 
     def _drive(self, now: float) -> bool:
         pose = self.sensors.pose
+        if pose and self.frame.inside(cell := self.frame.cell(pose.x, pose.y)):
+            self._driven.add(cell)
         while self._legs and pose and self._arrived(pose):
             self._passed.append(self._legs.pop(0))
         if not self._legs:

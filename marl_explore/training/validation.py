@@ -79,6 +79,7 @@ class Validation:
                 steps=run.validation_steps,
                 stream=STREAM,
                 arenas=self.config.arenas,
+                device=run.device,
             )
         score = measures[run.select_by]
         coverage = measures["final_largest_coverage"]

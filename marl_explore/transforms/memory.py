@@ -78,8 +78,10 @@ class RememberTeam(Transform):
         if tensordict.get(MEMORY, None) is not None:
             return tensordict
         kept, maps = self._kept, tensordict.get(("agents", "map"))
-        if kept is not None and kept.get("covered").shape != maps.shape:
-            kept = None  # other arenas
+        if kept is not None:
+            covered = kept.get("covered")
+            if (covered.shape, covered.device) != (maps.shape, maps.device):
+                kept = None  # other arenas
         tensordict.set(MEMORY, self._remember(tensordict, kept))
         self._kept = tensordict.get(MEMORY)  # the group itself: ``set`` may have copied it
         return tensordict

@@ -29,5 +29,6 @@ def find_device(name: str) -> torch.device:
 
 
 def keep_random_state(device: torch.device) -> AbstractContextManager[None]:
-    """A context after which torch's generators, also that of the device, are as before it."""
-    return torch.random.fork_rng(devices=() if device == CPU else (device,))
+    """A context after which all of torch's generators are as before; a seed is that of all."""
+    in_use = device.type == "cuda" or torch.cuda.is_initialized()
+    return torch.random.fork_rng(devices=range(torch.cuda.device_count()) if in_use else ())

@@ -223,3 +223,9 @@ def test_a_source_folder_without_kernels_says_so(monkeypatch):
     monkeypatch.setattr(native, "__file__", "/somewhere/site-packages/marl_explore/core/native/x")
     reason = str(native._load.__wrapped__("frontier"))
     assert reason == "it was not built: the package was installed without a C compiler"
+
+
+def test_an_older_library_without_a_function_is_no_kernel(monkeypatch):
+    functions = native._FUNCTIONS | {"step": ("world", "marl_explore_of_tomorrow", ())}
+    monkeypatch.setattr(native, "_FUNCTIONS", functions)
+    assert "marl_explore_of_tomorrow" in str(native._load.__wrapped__("step"))

@@ -103,7 +103,7 @@ def test_a_world_with_hindrances_takes_its_steps_in_parts(settings):
     obstacles, position = Uniform(config)(0, torch.arange(1), torch.zeros(1, dtype=torch.int64))
     state, action = start(config, obstacles, position), torch.tensor([[0, 9]])
     assert advance(config, state, action)[0].step_count == 1
-    with pytest.raises(ValueError, match="backend='native' is not allowed: .* hindrances"):
+    with pytest.raises(ValueError, match="'native' is not allowed: .* hindrances, on the CPU"):
         advance(config, state, action, "native")
 
 
@@ -156,3 +156,11 @@ def test_merged_maps_are_those_of_torch(robots):
     assert robots == 1 or brought[0].received.any()
     member = brought[0].network.diagonal(dim1=-2, dim2=-1)
     assert maps["torch"][~member].equal(grid[~member])
+
+
+def test_a_step_takes_only_actions_of_its_kind():
+    config = ArenaConfig(9, 8, num_agents=2)
+    obstacles, position = Uniform(config)(0, torch.arange(1), torch.zeros(1, dtype=torch.int64))
+    state = start(config, obstacles, position)
+    with pytest.raises(ValueError, match="action must be int64 on the CPU, got torch.int32"):
+        advance(config, state, torch.tensor([[0, 9]], dtype=torch.int32), "native")

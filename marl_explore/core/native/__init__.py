@@ -209,8 +209,8 @@ def _load(name: Kernel) -> Callable[..., int] | OSError:
         return OSError(f"it was not built: {_why_not_built()}")
     try:
         loaded = ctypes.CDLL(str(built[0]))[function]
-    except OSError as error:
-        return error
+    except (OSError, AttributeError) as error:  # also an older library without the function
+        return OSError(*error.args)
     loaded.argtypes = arguments
     loaded.restype = ctypes.c_int
     return loaded

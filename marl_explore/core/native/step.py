@@ -71,8 +71,10 @@ def step(
         hides: whether obstacles end sight.
 
     Raises:
-        ValueError: for an action that is none.
+        ValueError: for an action that is none, or actions of another dtype or device.
     """
+    if action.dtype != torch.int64 or action.device.type != "cpu":
+        raise ValueError(f"action must be int64 on the CPU, got {action.dtype} on {action.device}")
     inputs = walls, masks, target, action, position, action_mask
     before = unshared, steps_since_merge, known, missing
     arrays = [x.contiguous() for x in (*inputs, *before)]

@@ -164,6 +164,8 @@ def read(path: Path, cell: Cell) -> Result | None:
         for name, value in wanted.items()
         if name not in HOW and made.get(name) != value
     ]
+    if (made_on := made.get("device", "cpu")) != cell.device and "device" not in wanted:
+        different.append(f"device was {made_on!r} and now is {cell.device!r}")
     if different:
         raise ValueError(
             f"{path} was made under other settings: {'; '.join(different)}. Choose another folder, "
