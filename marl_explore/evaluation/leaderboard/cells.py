@@ -64,7 +64,8 @@ class Cell:
             "steps": self.steps,
             "seed": self.seed,
             "stream": TEST_STREAM,
-        } | ({} if self.device == "cpu" else {"device": self.device})
+            "device": self.device,
+        }
 
     @property
     def kind(self) -> Kind:
@@ -159,13 +160,12 @@ def read(path: Path, cell: Cell) -> Result | None:
             f"{path} is not a leaderboard cell, or is damaged: delete it to measure it again "
             f"({error})"
         ) from error
+    made = {"device": "cpu"} | made  # cells of before say none
     different = [
         f"{name} was {made.get(name)!r} and now is {value!r}"
         for name, value in wanted.items()
         if name not in HOW and made.get(name) != value
     ]
-    if (made_on := made.get("device", "cpu")) != cell.device and "device" not in wanted:
-        different.append(f"device was {made_on!r} and now is {cell.device!r}")
     if different:
         raise ValueError(
             f"{path} was made under other settings: {'; '.join(different)}. Choose another folder, "
