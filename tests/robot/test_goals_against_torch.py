@@ -39,21 +39,18 @@ def assert_same_candidates(found, expected, robot):
 
 def assert_same_features(ours, theirs, robot):
     """Those of choices that there are, and of teammates that were seen."""
-    number, known = ours.frontier.shape[1], theirs.known_mate[robot].nonzero().flatten()
     places = theirs.row == robot
-    frontier, pair = theirs.frontier[places], theirs.pair[places][:, known]
+    frontier = theirs.frontier[places]
     valid = theirs.valid[robot].nonzero().flatten()
     assert ours.choices == valid.tolist()
     close = {
         "frontier": (ours.frontier[PLACES].T, frontier),
         "context": (ours.context, theirs.context[robot]),
         "prior": (ours.prior, theirs.prior[robot, valid]),
-        "beside": (
-            ours.pairs.beside.transpose(2, 1, 0),
-            pair[..., [4, 7, 5, 6]],
-        ),
     }
-    if number:
+    if len(frontier):
+        pair = theirs.pair[places][:, theirs.known_mate[places][0]]
+        close["beside"] = ours.pairs.beside.transpose(2, 1, 0), pair[..., [4, 7, 5, 6]]
         close["about"] = ours.pairs.about.T, pair[0, :, :4]
     mates = valid[(valid >= MAX_FRONTIERS) & (valid < theirs.valid.shape[-1] - 2)]
     close["mate"] = ours.mate.T, theirs.mate[robot, mates - MAX_FRONTIERS]

@@ -59,9 +59,9 @@ class GoalFeatures(NamedTuple):
     frontier: Tensor
     """[V, FRONTIER_SIZE]."""
     pair: Tensor
-    """Of every teammate beside every candidate frontier, [V, N, PAIR_SIZE]."""
+    """Of every teammate beside every candidate frontier, [V, max(N - 1, 1), PAIR_SIZE]."""
     known_mate: Tensor
-    """Teammates that were seen, bool [R, N]."""
+    """Teammates that were seen, bool [V, max(N - 1, 1)]."""
     mate: Tensor
     """[R, N, MATE_SIZE]."""
     still: Tensor
@@ -105,16 +105,26 @@ class FeatureScaling(nn.Module):
                 24 R, and no shape depends on what there is.
         """
         dtype = self.weights.dtype
-        candidates = Candidates(*(entry.to(dtype) for entry in candidates))
         moves = candidates.frontiers[..., GOAL_COLUMNS.index("moves")]
         filled = moves > 0
-        row, slot = _every_place(filled) if dense else filled.nonzero(as_tuple=True)
-        # as if each candidate had a robot of its own: most rows of the tables are empty
+        place = _every_place(filled) if dense else filled.flatten().nonzero().squeeze(-1)
+        row = place // filled.shape[-1]
+        # most rows of these tables are empty
+        frontiers, rivals = (
+            entry.flatten(0, 1).index_select(0, place).to(dtype)
+            for entry in (candidates.frontiers, candidates.rivals)
+        )
+        candidates = candidates._replace(
+            mates=candidates.mates.to(dtype), context=candidates.context.to(dtype)
+        )
+        known = candidates.mates[..., MATE_COLUMNS.index("seen")] > 0
+        others = _others(known).unsqueeze(-1)
+        # as if each candidate had a robot of its own
         alone = Candidates(
-            candidates.frontiers[row, slot].unsqueeze(-2),
-            candidates.rivals[row, slot].unsqueeze(-3),
-            candidates.mates[row],
-            candidates.context[row],
+            frontiers.unsqueeze(-2),
+            rivals.take_along_dim(others.index_select(0, row), -2).unsqueeze(-3),
+            candidates.mates.take_along_dim(others, -2).index_select(0, row),
+            candidates.context.index_select(0, row),
         )
         terms = place_terms(alone)
         utility = frontier_utility(alone, terms, self.weights)
@@ -123,22 +133,27 @@ class FeatureScaling(nn.Module):
         mates = dict(zip(MATE_COLUMNS, candidates.mates.unbind(-1), strict=True))
         own = dict(zip(CONTEXT_COLUMNS, candidates.context.unbind(-1), strict=True))
         linked = mates["linked"]
-        known = mates["seen"] > 0
-        nearest = moves.masked_fill(~filled, torch.inf).amin(-1, keepdim=True)
+        nearest = moves.to(dtype).masked_fill(~filled, torch.inf).amin(-1, keepdim=True)
         # age, unshared cells and steps since the last exchange
         about = share(candidates.mates[..., _ABOUT_COLUMNS], self.about_halves)
-        every = torch.full_like(moves, NOT_CHOSEN).index_put((row, slot), utility.squeeze(-1))
+        every = linked.new_full((filled.numel(),), NOT_CHOSEN)
+        every = every.index_copy(0, place, utility.squeeze(-1)).view_as(filled)
         goals, talks, stays = self._choices(every, visit, linked, mates["since"], own, due)
         length, knows = alone.rivals.unbind(-1)
-        walk = moves[row, slot].unsqueeze(-1)
-        nearer = (length < walk.unsqueeze(-1)) & known[row].unsqueeze(-2)
-        frontier = self._places(alone.frontiers, terms, nearest[row], nearer, linked[row], utility)
-        pair = self._pairs(linked[row], about[row], length, knows, walk, mates["age"][row])
+        walk = frontiers[..., GOAL_COLUMNS.index("moves"), None, None]
+        seen, linked_there, age = (
+            alone.mates[..., MATE_COLUMNS.index(name)] for name in ("seen", "linked", "age")
+        )
+        nearer = (length < walk) & (seen > 0).unsqueeze(-2)
+        first = nearest.index_select(0, row)
+        frontier = self._places(alone.frontiers, terms, first, nearer, linked_there, utility)
+        about_there = about.take_along_dim(others, -2).index_select(0, row)
+        pair = self._pairs(linked_there, about_there, length, knows, walk.squeeze(-1), age)
         return GoalFeatures(
             row=row,
             frontier=frontier.squeeze(-2),
             pair=pair.squeeze(-3),
-            known_mate=known,
+            known_mate=seen > 0,
             mate=self._visits(mates["moves"], about),
             still=self._stills(mates, linked, due),
             context=self._context(own, linked, filled, mates["unshared"], nearest),
@@ -269,10 +284,19 @@ class FeatureScaling(nn.Module):
         return torch.cat((goals - best, talk, torch.zeros_like(best)), -1)
 
 
-def _every_place(table: Tensor) -> tuple[Tensor, Tensor]:
-    """The row and the column of every entry of a table [R, C], int64 [R C] each."""
-    rows, columns = (torch.arange(size, device=table.device) for size in table.shape)
-    return (
-        rows.unsqueeze(-1).expand_as(table).flatten(),
-        columns.expand_as(table).flatten(),
-    )
+def _every_place(table: Tensor) -> Tensor:
+    """The numbers of all entries of a table [R, C], int64 [R C]."""
+    return torch.arange(table.numel(), device=table.device)
+
+
+def _others(known: Tensor) -> Tensor:
+    """The numbers of all robots but one that was not seen, int64 [R, max(N - 1, 1)].
+
+    Nobody sees itself, so this leaves out nothing.
+
+    Args:
+        known: teammates that were seen, bool [R, N].
+    """
+    first = known.int().argmin(-1, keepdim=True)
+    numbers = torch.arange(max(known.shape[-1] - 1, 1), device=known.device)
+    return (numbers + (numbers >= first)).clamp_max(known.shape[-1] - 1)

@@ -164,10 +164,11 @@ class GoalEncoder(nn.Module):
 
     def of_frontiers(self, scaled: GoalFeatures) -> Tensor:
         """First encodings of the choices that are frontiers."""
-        known = scaled.known_mate[scaled.row].unsqueeze(-1)
+        known = scaled.known_mate.unsqueeze(-1)
         pair = self.pair(scaled.pair) * known
         pooled = (pair.sum(-2) / known.sum(-2).clamp_min(1), pair.amax(-2))
-        return self.frontier(torch.cat((scaled.frontier, *pooled, scaled.context[scaled.row]), -1))
+        context = scaled.context.index_select(0, scaled.row)
+        return self.frontier(torch.cat((scaled.frontier, *pooled, context), -1))
 
     @staticmethod
     def _of_kind(
@@ -203,13 +204,24 @@ class GoalActor(nn.Module):
         batch = candidates[-1].shape[:-1]
         rows = Candidates(*(x.reshape(-1, *x.shape[len(batch) :]) for x in candidates))
         scaled, codes = self.encoder(rows)
-        read = torch.cat((codes.each, codes.pooled[codes.row]), -1)
         score = torch.zeros_like(scaled.prior).index_put(
-            (codes.row, codes.choice), self.score(read).squeeze(-1).to(scaled.prior.dtype)
+            (codes.row, codes.choice), self._scores(codes).to(scaled.prior.dtype)
         )
         logits = self.refine(score, scaled, rows.context)
         logits = logits.masked_fill(~scaled.valid, FORBIDDEN_LOGIT)
         return logits.view(*batch, -1)
+
+    def _scores(self, codes: _Codes) -> Tensor:
+        """Scores of all choices [V]: ``score`` of each encoding beside those of its robot."""
+        first, *others = self.score
+        weight, bias = first.get_parameter("weight"), first.get_parameter("bias")
+        own, common = weight.split((codes.each.shape[-1], codes.pooled.shape[-1]), -1)
+        # what all choices of a robot have in common is multiplied once
+        shared = nn.functional.linear(codes.pooled, common, bias)
+        value = nn.functional.linear(codes.each, own) + shared.index_select(0, codes.row)
+        for layer in others:
+            value = layer(value)
+        return value.squeeze(-1)
 
     def refine(self, score: Tensor, scaled: GoalFeatures, context: Tensor) -> Tensor:
         """Logits from the network's scores and the prior, [R, 24 + N + 2]; any of no choices.
