@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from benchmarks.completion import read_task
 from marl_explore.arenas import default_steps
@@ -71,13 +71,14 @@ class Scores:
     number, or the whole map where that is shorter."""
 
 
-class Mute:
+class Mute(nn.Module):
     """A policy whose robots never communicate; they stay instead."""
 
     def __init__(self, policy: Actor) -> None:
+        super().__init__()
         self.policy = policy
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Act as if communicating were not allowed."""
         seen = tensordict.clone(recurse=False)
         mask = seen["agents", "action_mask"].clone()
@@ -105,7 +106,8 @@ def play(
     policy: Actor, config: ArenaConfig, arenas: str, number: int, seed: int, stream: str
 ) -> Scores:
     """Run a policy on arenas of a suite."""
-    episodes = record(policy, config, number, default_steps(arenas), seed, stream, arenas)
+    steps = default_steps(arenas)
+    episodes = record(policy, config, number, steps, seed, stream, arenas, until_mapped=True)
     scores = metrics.per_episode(episodes)
     to_95, to_100 = (scores[f"steps_to_{share}"].numpy() for share in (95, 100))
     running = metrics.before_completion(episodes)

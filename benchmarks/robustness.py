@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.evaluation.episodes import TEST_STREAM, Actor, record
@@ -75,7 +75,7 @@ class Scores:
     """Of the arenas that could be finished, those that were."""
 
 
-class Assuming:
+class Assuming(nn.Module):
     """A policy that takes its robots' sensors for others.
 
     Args:
@@ -85,11 +85,12 @@ class Assuming:
     """
 
     def __init__(self, name: str, config: ArenaConfig, factor: float) -> None:
+        super().__init__()
         assert isinstance(config.sensing_range, float)
         assumed = replace(config, sensing_range=factor * config.sensing_range)
         self.policy, self.radius = find_policy(name, assumed), assumed.fov_radius
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Act on the middle of the field of view, or on one with a margin that is never seen."""
         seen = tensordict.clone(recurse=False)
         fov: Tensor = seen["agents", "observation", "fov"]
@@ -106,7 +107,7 @@ def play(
     policy: Actor = find_policy(name, config)
     if not fault.setting and level != 1:
         policy = Assuming(name, config, level)
-    episodes = record(policy, config, num_arenas, STEPS, seed, stream, ARENAS)
+    episodes = record(policy, config, num_arenas, STEPS, seed, stream, ARENAS, until_mapped=True)
     scores = per_episode(episodes)
     to_95, to_100 = (scores[f"steps_to_{share}"].numpy() for share in (95, 100))
     done = torch.from_numpy(to_100 <= STEPS)

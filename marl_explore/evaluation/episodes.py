@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from itertools import chain
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.envs import step_mdp
 
 from marl_explore.arenas import Generator, default_config, default_steps, in_order
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.config.checks import require_integer
-from marl_explore.core.links import any_linked
-from marl_explore.core.mapping import (
-    finishable,
-    known_mask,
-    known_targets,
-    target_cells,
-    union_of,
-)
+from marl_explore.core.mapping import known_mask, target_cells
 from marl_explore.envs.exploration import ExplorationEnv
 from marl_explore.envs.memory import require_env_memory
-from marl_explore.evaluation.metrics import Episodes, Snapshot, snapshot
+from marl_explore.evaluation.metrics import Episodes
+from marl_explore.evaluation.recording import Recording, maps_that_count
 from marl_explore.utils.devices import CPU, find_device, keep_random_state
 from marl_explore.utils.memory import require_memory
 
@@ -34,7 +27,8 @@ Actor = Callable[[TensorDictBase], TensorDictBase]
 TEST_STREAM = "test"
 BYTES_PER_STEP = 60
 """Of a robot's step in ``Episodes``."""
-EVENTS = ("position", "dangerous", "merged", "discovered", "received", "alive")
+FEW = 0.75
+"""Share of the arenas of a batch that must be left for it to be stepped as it is."""
 
 
 def play(
@@ -51,18 +45,27 @@ def play(
         steps: maximum number of steps.
         until_done: whether to stop when every arena is done.
     """
-    # not by its class: what planners do does not depend on the modules of trained policies
-    if (in_world := getattr(policy, "in_world", None)) is not None:
-        policy = in_world(env.config)
-    observation = env.reset()
+    act, observation = _told_of(env, policy), env.reset()
     yield observation
     for _ in range(steps):
-        # a copy, so that the action is not written into the observation that was yielded
-        stepped = env.step(policy(observation.clone(recurse=False)))
-        observation = step_mdp(stepped, exclude_action=False)
+        observation = _step(act, env, observation)
         yield observation
         if until_done and observation["done"].all():
             return
+
+
+def _told_of(env: ExplorationEnv, policy: Actor) -> Actor:
+    """The policy for the sensors of an environment, if it works with any."""
+    # not by its class: what planners do does not depend on the modules of trained policies
+    in_world = getattr(policy, "in_world", None)
+    return policy if in_world is None else in_world(env.config)
+
+
+def _step(policy: Actor, env: ExplorationEnv, observation: TensorDictBase) -> TensorDictBase:
+    """The next observation, with the action that led to it."""
+    # a copy, so that the action is not written into the observation
+    stepped = env.step(policy(observation.clone(recurse=False)))
+    return step_mdp(stepped, exclude_action=False)
 
 
 def watch(
@@ -122,19 +125,13 @@ def _until_shared(episode: Iterator[TensorDictBase]) -> Iterator[TensorDictBase]
     """The observations with the union as every robot's map, until it is complete."""
     target: Tensor | None = None
     for observation in episode:
-        maps = _measured(observation, shared=True).contiguous()
+        maps = maps_that_count(observation, shared=True).contiguous()
         if target is None:
             target = target_cells(observation["obstacles"], observation["agents", "position"])
         observation["agents"] = observation["agents"].copy().set("map", maps)
         yield observation
         if (known_mask(maps[:, 0]) >= target).all():
             return
-
-
-def _measured(observation: TensorDictBase, shared: bool) -> Tensor:
-    """The robots' maps [B, N, H, W]; for a reference that shares them, their union for each."""
-    grid = observation["agents", "map"]
-    return union_of(grid).unsqueeze(-3).expand_as(grid) if shared else grid
 
 
 def record(
@@ -146,6 +143,7 @@ def record(
     stream: str = TEST_STREAM,
     arenas: str | Generator = "uniform",
     device: str = "cpu",
+    until_mapped: bool = False,
 ) -> Episodes:
     """Run a policy once on every arena, deterministic given the seed.
 
@@ -159,6 +157,11 @@ def record(
         arenas: a suite's name or a generator, as for ``ExplorationEnv``.
         device: where arenas are stepped and the policy acts, which is moved there; sampled actions
             depend on it.
+        until_mapped: whether an episode ends as soon as the map of every living robot is complete.
+            Arenas whose episodes are over are not stepped any more, which is several times faster;
+            sampled actions of the others depend on that. A policy that remembers arenas by their
+            places in the batch needs methods ``only``, as ``Planner`` and ``RememberTeam`` have, or
+            ``whole_batch = True``, with which all are stepped until the last is over.
 
     Returns:
         Tensors on the CPU.
@@ -172,8 +175,38 @@ def record(
     if (move := getattr(policy, "to", None)) is not None:
         policy = move(place)
     with _test_env(config, steps, seed, stream, arenas, place, num_envs=num_arenas) as env:
+        act, observation = _told_of(env, policy), env.reset()
         shared = getattr(policy, "shares_maps", False)
-        return measure_steps(play(policy, env, env.max_steps), env.config, shared).cpu()
+        recording = Recording(env.config, observation, shared, until_mapped)
+        for _ in range(steps):
+            observation = _step(act, env, observation)
+            recording.add(observation)
+            going = recording.going_on()
+            if not len(going):
+                break
+            if len(going) <= FEW * env.num_envs and not getattr(act, "whole_batch", False):
+                recording.only(going)
+                _forget_others(act, going)
+                env, observation = _some(env, going), observation[going]
+        return recording.episodes(steps).cpu()
+
+
+def _forget_others(policy: Actor, arenas: Tensor) -> None:
+    """Tell the parts of a policy that remember a batch which of its arenas are left, int64 [b]."""
+    parts = policy.modules() if isinstance(policy, nn.Module) else [policy]
+    for part in parts:
+        if (only := getattr(part, "only", None)) is not None:
+            only(arenas)
+
+
+def _some(env: ExplorationEnv, arenas: Tensor) -> ExplorationEnv:
+    """An environment that goes on with some of the arenas of another, int64 [b]."""
+    state = {key: x[arenas] if isinstance(x, Tensor) else x for key, x in env.state_dict().items()}
+    fewer = ExplorationEnv(
+        env.config, len(arenas), max_steps=env.max_steps, seed=int(state["seed"]), device=env.device
+    )
+    fewer.load_state_dict(state)
+    return fewer
 
 
 def require_recording(config: ArenaConfig, num_arenas: int, steps: int) -> None:
@@ -189,40 +222,15 @@ def require_recording(config: ArenaConfig, num_arenas: int, steps: int) -> None:
     require_memory(f"num_arenas={num_arenas} x steps={steps}", counts)
 
 
-def measure_steps(
-    observations: Iterable[TensorDictBase], config: ArenaConfig, shared: bool = False
-) -> Episodes:
+def measure_steps(observations: Iterable[TensorDictBase], config: ArenaConfig) -> Episodes:
     """What metrics need of the observations of episodes, the reset's first.
 
     Args:
         observations: batch [B] each, as ``play`` and ``watch`` give them.
         config: of the arenas.
-        shared: whether all robots count as having the union of the maps.
     """
     episode = iter(observations)
-    start = next(episode)
-    target = target_cells(start["obstacles"], start["agents", "position"])
-    maps: list[Snapshot] = []
-    events: dict[str, list[Tensor]] = {key: [] for key in (*EVENTS, "linked")}
-    actions = []
-    for observation in chain((start,), episode):
-        agents, grid = observation["agents"], _measured(observation, shared)
-        alive = agents["alive"]
-        maps.append(snapshot(grid, target, alive))
-        if observation is not start:
-            actions.append(agents["action"])
-        for key in EVENTS:
-            events[key].append(agents[key])
-        events["linked"].append(any_linked(agents["linked"]))
-    knowing = known_targets(known_mask(union_of(grid).unsqueeze(-3)), target).squeeze(-1)
-    return Episodes(
-        maps=Snapshot(*(torch.stack(entry, 1) for entry in zip(*maps, strict=True))),
-        action=torch.stack(actions, 1),
-        **{key: torch.stack(values, 1) for key, values in events.items()},
-        num_targets=target.flatten(-2).sum(-1),
-        finishable=finishable(start["obstacles"], agents["position"], alive, grid, target),
-        lost_targets=knowing - maps[-1].union_targets,
-        num_cells=config.num_cells,
-        cell_size=config.cell_size,
-        max_discovery=config.max_discovery,
-    )
+    recording = Recording(config, next(episode))
+    for observation in episode:
+        recording.add(observation)
+    return recording.episodes()

@@ -75,6 +75,9 @@ class Episodes(NamedTuple):
     """Whether each robot is linked to another one, bool [B, T + 1, N]."""
     num_targets: Tensor
     """int64 [B]."""
+    ended: Tensor
+    """Steps until the end of each episode, int64 [B]: T, or fewer if it ended when all maps were
+    complete. After it states stay and nothing happens."""
     finishable: Tensor
     """Whether the living robots can still complete a map after the last step, bool [B]."""
     lost_targets: Tensor
@@ -101,9 +104,14 @@ class Episodes(NamedTuple):
         return self.action.shape[1]
 
     @property
+    def during(self) -> Tensor:
+        """Steps before the end of the episode, bool [B, T]."""
+        return torch.arange(self.horizon, device=self.ended.device) < self.ended.unsqueeze(-1)
+
+    @property
     def acting(self) -> Tensor:
         """Robots that were alive when they chose an action, bool [B, T, N]."""
-        return self.alive[:, :-1]
+        return self.alive[:, :-1] & self.during.unsqueeze(-1)
 
 
 def coverage(episodes: Episodes) -> dict[str, Tensor]:
@@ -201,7 +209,7 @@ def large_enlargement_share(episodes: Episodes) -> Share:
 
 def unlinked_share(episodes: Episodes) -> Share:
     """Steps of living robots without any link over all of their steps."""
-    alive = episodes.alive[:, 1:]
+    alive = episodes.alive[:, 1:] & episodes.during.unsqueeze(-1)
     return _share(alive & ~episodes.linked[:, 1:], alive)
 
 

@@ -110,6 +110,9 @@ class TeamPolicy:
         config: the arena and its robots.
     """
 
+    whole_batch = True
+    """It may remember its episodes by their places in the batch."""
+
     def __init__(self, name: str, found: Any, config: ArenaConfig) -> None:
         self.name, self.robots = name, config.num_agents
         self.sees, self.reference = _told(found)
@@ -165,7 +168,7 @@ class RobotPolicies:
         require(fpr in NORMALIZATIONS, f"{name}.fpr", fpr, f"use one of {NORMALIZATIONS}")
         self._observed = _dictionary if observes == "pettingzoo" else _own_copy
         self._features = make_features(config, ("fpr", "net"), fpr)
-        self._policies: dict[tuple[int, int], RobotPolicy] = {}
+        self._policies: dict[int, list[RobotPolicy]] = {}
         with own_chance():
             self._make(0, 0)  # an error comes before anything is run
 
@@ -181,23 +184,30 @@ class RobotPolicies:
         keys = _keys(seen["draw_key"], "step", seen["step_count"], self.config.num_agents)
         observations = robot_observations(seen)
         with own_chance():
-            self._begin(seen["draw_key"], steps)
+            policies = self._of_episodes(seen["draw_key"], steps)
             for arena, robot in alive.nonzero().tolist():
                 set_chance(keys[arena][robot])
                 observation = self._observed(observations(arena, robot))
-                chosen = self._policies[arena, robot](observation)
+                chosen = policies[arena][robot](observation)
                 action[arena, robot] = self._checked(chosen, robot, steps[arena])
         return tensordict.set(("agents", "action"), action)
 
-    def _begin(self, draw_key: Tensor, steps: list[int]) -> None:
-        """Make the policies of the robots whose episode begins."""
-        robots = self.config.num_agents
-        keys = _keys(draw_key, "robot", 0, robots)
-        for arena, step in enumerate(steps):
-            if step == 0 or (arena, 0) not in self._policies:
-                for robot in range(robots):
-                    set_chance(keys[arena][robot])
-                    self._policies[arena, robot] = self._make(robot, keys[arena][robot])
+    def _of_episodes(self, draw_key: Tensor, steps: list[int]) -> list[list[RobotPolicy]]:
+        """The policies of every arena's robots, made where an episode begins.
+
+        They go by the episode's key, since batches may lose arenas.
+        """
+        keys = _keys(draw_key, "robot", 0, self.config.num_agents)
+        episodes = draw_key.flatten().tolist()
+        for episode, step, own in zip(episodes, steps, keys, strict=True):
+            if step == 0 or episode not in self._policies:
+                self._policies[episode] = [self._made_anew(*robot) for robot in enumerate(own)]
+        self._policies = {episode: self._policies[episode] for episode in episodes}
+        return [self._policies[episode] for episode in episodes]
+
+    def _made_anew(self, robot: int, seed: int) -> RobotPolicy:
+        set_chance(seed)
+        return self._make(robot, seed)
 
     def _make(self, robot: int, seed: int) -> RobotPolicy:
         if not inspect.isclass(self._found):

@@ -59,6 +59,10 @@ class Planner(TensorDictModuleBase):
         self.communicate = communicate
         self._hindrances = Hindrances(config)
 
+    def only(self, arenas: Tensor) -> None:
+        """Forget all but some arenas of the batch [B], int64 [b]: the next one has only those."""
+        self._hindrances.only(arenas)
+
     @abstractmethod
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """The wanted action of each robot: a move, STAY or COMMUNICATE, int64 [*B, N]."""

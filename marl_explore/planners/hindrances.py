@@ -54,6 +54,10 @@ class Obstructions:
         self.sight = sight
         self._since, self._until = torch.zeros(0), torch.zeros(0)
 
+    def only(self, arenas: Tensor) -> None:
+        """Forget all but some arenas of the batch, int64 [b], as for ``Planner.only``."""
+        self._since, self._until = self._since[arenas], self._until[arenas]
+
     def maps(self, tensordict: TensorDictBase) -> Tensor:
         """The maps with those cells occupied, int8 [*B, N, H, W].
 
@@ -128,6 +132,11 @@ class LostMessages:
         self._asked = torch.zeros(0, dtype=torch.bool)
         self._failures, self._until = torch.zeros(0), torch.zeros(0)
 
+    def only(self, arenas: Tensor) -> None:
+        """As ``Obstructions.only``."""
+        self._asked, self._failures = self._asked[arenas], self._failures[arenas]
+        self._until = self._until[arenas]
+
     def alone(self, tensordict: TensorDictBase) -> Tensor:
         """Robots that act as if they were not linked to any, bool [*B, N]."""
         merged, now = tensordict.get(("agents", "merged")), tensordict.get("step_count")
@@ -172,6 +181,10 @@ class Turns:
         self.period = period
         self._kept = torch.zeros(0, dtype=torch.bool)
 
+    def only(self, arenas: Tensor) -> None:
+        """As ``Obstructions.only``."""
+        self._kept = self._kept[arenas]
+
     def refused(self, tensordict: TensorDictBase) -> Tensor:
         """Robots whose last move in turn was refused, bool [*B, N]."""
         refused = tensordict.get(("agents", "dangerous"))
@@ -202,6 +215,12 @@ class Hindrances:
             self._messages = LostMessages()
         if config.move_period != 1:
             self._turns = Turns(config.move_period)
+
+    def only(self, arenas: Tensor) -> None:
+        """As ``Obstructions.only``."""
+        for part in (self._obstructions, self._messages, self._turns):
+            if part is not None:
+                part.only(arenas)
 
     def seen(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The observation that plans are made on; to be asked once per step."""

@@ -74,6 +74,13 @@ class Rendezvous(Planner):
         self._seen: Sightings | None = None
         self._covered, self._idle = torch.zeros(0, dtype=torch.bool), torch.zeros(0)
 
+    def only(self, arenas: Tensor) -> None:
+        """As ``Planner.only``."""
+        super().only(arenas)
+        self._covered, self._idle = self._covered[arenas], self._idle[arenas]
+        if self._seen is not None:
+            self._seen = Sightings(*(entry[arenas] for entry in self._seen))
+
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """Each robot's own part of its joint plan, int64 [*B, N]."""
         batch = tensordict.get("step_count").shape[:-1]

@@ -55,6 +55,10 @@ class ArgmaxPolicy(TensorDictModuleBase):
         """As ``Policy.in_world``."""
         return ArgmaxPolicy(self.policy.in_world(arena), self.patience)
 
+    def only(self, arenas: Tensor) -> None:
+        """Forget all but some arenas of the batch [B], int64 [b]: the next one has only those."""
+        self._known, self._since = self._known[arenas], self._since[arenas]
+
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N]."""

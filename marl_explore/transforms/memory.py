@@ -86,6 +86,11 @@ class RememberTeam(Transform):
         self._kept = tensordict.get(MEMORY)  # the group itself: ``set`` may have copied it
         return tensordict
 
+    def only(self, arenas: Tensor) -> None:
+        """Forget all but some arenas of the batch [B], int64 [b]: the next one has only those."""
+        if self._kept is not None:
+            self._kept = self._kept[arenas]
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         before = tensordict.get(MEMORY)
         return next_tensordict.set(MEMORY, self._remember(next_tensordict, before))

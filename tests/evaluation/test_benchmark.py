@@ -114,9 +114,8 @@ def test_a_run_writes_what_the_policies_did(results, folder):
     (one,) = content["entries"]["nearest-timer"]
     config = BENCHMARKS["maps-4"].config(0.5)
     suite = BENCHMARKS["maps-4"].prepare(folder).suite
-    episodes = record(
-        find_policy("nearest-timer", suite.config), suite.config, 3, STEPS, arenas=folder
-    )
+    policy = find_policy("nearest-timer", suite.config)
+    episodes = record(policy, suite.config, 3, STEPS, arenas=folder, until_mapped=True)
     expected = {name: x.tolist() for name, x in metrics.per_episode(episodes).items()}
     assert one["scores"] == expected
     assert (one["planner"], one["reference"], one["checked"]) == (True, False, False)

@@ -30,7 +30,7 @@ from marl_explore.utils.devices import find_device
 from marl_explore.utils.files import write_text
 from marl_explore.utils.json_files import digest, read_json
 
-FORMAT = 3
+FORMAT = 4
 """To be increased when ``measured`` changes its content."""
 HOW = ("format", "code")
 """Settings that say how a cell was measured: if only these differ, it is measured again."""
@@ -204,6 +204,7 @@ def _played(cell: Cell) -> dict[str, Any]:
         seed=cell.seed,
         arenas=cell.suite.arenas,
         device=cell.device,
+        until_mapped=True,
     )
     return {
         "reference": bool(getattr(policy, "reference", False)),

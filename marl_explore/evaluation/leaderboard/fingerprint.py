@@ -24,6 +24,7 @@ RULES = (
     "envs",
     "evaluation/episodes.py",
     "evaluation/metrics.py",
+    "evaluation/recording.py",
     "utils/devices.py",
 )
 PLANNING = ("planners", "transforms")

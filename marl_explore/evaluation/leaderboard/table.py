@@ -60,8 +60,8 @@ MEANINGS = {
     "the end, still complete a map",
     "coverage at 20, 50, 150": "mean coverage of the largest map at that step",
     "communicate": "communicate actions / all actions, before a map is complete",
-    "useful": "communicate actions that enlarged the sender's map / communicate actions, over all "
-    "steps of the episode",
+    "useful": "communicate actions that enlarged the sender's map / communicate actions, until the "
+    "map of every robot is complete",
     "overlap": "own discoveries of all robots / cells of the union - 1",
     "to best planner": "steps to 100 % minus those of the fastest planner that is not a reference, "
     "on the same arenas; less than 0 is faster",
