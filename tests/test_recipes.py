@@ -21,6 +21,7 @@ from marl_explore.robot import ExportedPolicy
 from recipes import foreign_maps, pettingzoo_torchrl
 from recipes import tune_planners as tune
 from tests.helpers import oracle
+from tests.helpers.programs import here, process
 
 ROOT = Path(__file__).parents[1]
 TINY = (
@@ -30,12 +31,11 @@ TINY = (
 
 
 def recipe(name, *arguments, cwd=None):
-    command = [sys.executable, str(ROOT / "recipes" / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300)
+    return here(f"recipes/{name}", *arguments, cwd=cwd)
 
 
 def test_train_then_evaluate(tmp_path):
-    trained = recipe("train.py", "fast", *TINY, "--seed", "3", "--out", tmp_path / "run")
+    trained = process("recipes/train.py", "fast", *TINY, "--seed", "3", "--out", tmp_path / "run")
     assert trained.returncode == 0, trained.stderr
     run = tmp_path / "run"
     config = json.loads((run / "config.json").read_text())
@@ -54,7 +54,7 @@ def test_train_then_evaluate(tmp_path):
 
     arena = "--num-arenas 5 --steps 20".split()  # the arena is the policy's own
     out = tmp_path / "table"
-    evaluated = recipe("evaluate.py", run, "nearest", "random", *arena, "--out", out)
+    evaluated = process("recipes/evaluate.py", run, "nearest", "random", *arena, "--out", out)
     assert evaluated.returncode == 0, evaluated.stderr
     results = json.loads((out / "results.json").read_text())
     assert list(results["results"]) == [str(run), "nearest", "random"]
@@ -349,6 +349,7 @@ def test_map_files_become_a_buffer_with_features(tmp_path):
         "evaluate.py",
         "replay.py",
         "bundle.py",
+        "mixed_teams.py",
         "demo.py",
         "leaderboard.py",
         "paper.py",
@@ -461,3 +462,31 @@ def test_all_planners_with_settings_can_be_compared():
         assert all(isinstance(planner, Planner) for planner in found.values())
         rules = 1 if name in tune.REFERENCES else len(tune.rules())
         assert len(found) % rules == 0
+
+
+def test_algorithms_are_compared_on_a_team_of_unlike_robots(tmp_path):
+    words = (
+        "--team one-mapper --algorithms happo mappo --seeds 1 --episodes 1 --num-envs 12 "
+        "--num-arenas 6 --out unlike"
+    ).split()
+    done = recipe("mixed_teams.py", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    place = tmp_path / "unlike" / "one-mapper"
+    assert (place / "table.md").read_text().strip() in done.stdout
+    content = json.loads((place / "results.json").read_text())
+    assert [*content["results"]] == ["happo", "mappo"]
+    for found in content["results"].values():
+        assert [len(steps) for steps in found["steps_to_100"]] == [6]
+    assert content["results"]["happo"]["factor_max"][0] > 1
+    assert content["results"]["mappo"]["factor_max"] == [1]
+    happo, mappo = (load_policy(place / name / "seed-1").config for name in ("happo", "mappo"))
+    assert happo.groups == ((0, 1, 2), (3,))
+    assert mappo.network.reads_sensor
+    assert mappo.shared
+    assert not happo.network.reads_sensor
+    first = {path: path.stat().st_mtime_ns for path in place.rglob("policy.safetensors")}
+    assert len(first) == 2
+    again = recipe("mixed_teams.py", *words, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert {path: path.stat().st_mtime_ns for path in first} == first
+    assert json.loads((place / "results.json").read_text())["results"] == content["results"]
