@@ -17,6 +17,9 @@ from marl_explore.core.grid import (
     flat_cell,
     with_robots,
 )
+from marl_explore.core.native import Backend
+from marl_explore.core.native import paths as kernel
+from marl_explore.core.native.choice import in_use
 from marl_explore.core.wavefront import batch_last, flood, mask
 
 
@@ -121,14 +124,21 @@ def reachable_cells(obstacles: Tensor, position: Tensor) -> Tensor:
         bool [*B, H, W].
     """
     starts = with_robots(torch.zeros_like(obstacles), position)
-    return _flooded(starts, ~obstacles, ~obstacles)
+    free = ~obstacles
+    return flooded(starts, free, free)
 
 
-def _flooded(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
-    """Free cells to which legal moves lead from some start, all bool [*B, H, W].
+def flooded(starts: Tensor, free: Tensor, passable: Tensor, backend: Backend = "auto") -> Tensor:
+    """Free cells to which legal moves lead from some free start, all bool [*B, H, W].
 
-    Two cells that are not passable close the diagonal between them.
+    Args:
+        starts: where paths begin.
+        free: cells that they may enter.
+        passable: two other cells close the diagonal between them.
+        backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible).
     """
+    if in_use("floods", backend, starts.device):
+        return kernel.flooded(starts, free, passable)
     cells = (batch_last(x.reshape(-1, *x.shape[-2:]), border=0) for x in (starts, free, passable))
     first, free_last, passable_last = cells
     labels, _ = flood(first, mask(free_last), mask(passable_last))
@@ -152,7 +162,7 @@ def finishable(
         target: bool [*B, H, W].
     """
     living, failed = (_held(position, robots, obstacles) for robots in (alive, ~alive))
-    reached = _flooded(living, ~obstacles & ~failed, ~obstacles)
+    reached = flooded(living, ~obstacles & ~failed, ~obstacles)
     known = union_of(grid, alive) != UNKNOWN
     left = target & ~known & ~(reached | beside_any(reached))
     return ~left.flatten(-2).any(-1) & alive.any(-1)

@@ -26,6 +26,7 @@ Kernel = Literal[
     "frontier",
     "goals",
     "paths",
+    "floods",
     "beam values",
     "beam plans",
     "sight",
@@ -35,8 +36,9 @@ Kernel = Literal[
     "merge",
     "step",
 ]
-"""Tables of paths to frontiers (FPR), candidate goals, paths to cells, line of sight, expected
-discoveries, what is around robots, what they write into their maps, merging them, a whole step."""
+"""Tables of paths to frontiers (FPR), candidate goals, paths to cells, cells that paths reach, line
+of sight, expected discoveries, what is around robots, what they write into their maps, merging
+them, a whole step."""
 Backend = Literal["auto", "torch", "native"]
 BACKENDS: tuple[Backend, ...] = get_args(Backend)
 """What computes: torch, a kernel (CPU tensors only), or a kernel where that is possible."""
@@ -86,6 +88,15 @@ class PathQueries(ctypes.Structure):
         "maps cells which starts moves lengths",
         "num_maps height width num_cells",
     )
+
+
+class Floods(ctypes.Structure):
+    """Addresses of the arrays of cells that paths reach, all contiguous, and their sizes.
+
+    The C file says how large each array is.
+    """
+
+    _fields_ = _layout("starts open passable reached", "height width")
 
 
 class SightQueries(ctypes.Structure):
@@ -178,6 +189,7 @@ _FUNCTIONS: dict[Kernel, tuple[str, str, tuple[Any, ...]]] = {
         "marl_explore_paths",
         (ctypes.POINTER(PathQueries), _INTEGER, _INTEGER),
     ),
+    "floods": ("paths", "marl_explore_floods", (ctypes.POINTER(Floods), _INTEGER, _INTEGER)),
     "sight": (
         "world",
         "marl_explore_line_of_sight",

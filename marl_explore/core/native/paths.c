@@ -1,5 +1,5 @@
-/* First moves and lengths of the shortest paths from cells of maps to listed cells (core/frontier.py,
- * `paths_to`, is the reference).
+/* Where paths lead: first moves and lengths of the shortest ones to listed cells of maps (the reference
+ * is `paths_to` of core/frontier.py), and all cells that are reached (`flooded` of core/mapping.py).
  *
  * Plain C99, no dependency but the standard library; one call is one thread's share of searches. A
  * queue visits every cell once, until it has come to all listed cells.
@@ -120,4 +120,70 @@ int marl_explore_paths(const Queries *queries, int64_t first, int64_t last) {
         failed = answer(&space, queries, query);
     free(memory);
     return failed;
+}
+
+/* Grids whose reached cells are asked, one byte a cell, 1 or 0. */
+typedef struct {
+    const uint8_t *starts;   /* [grids, height, width] */
+    const uint8_t *open;     /* the same; cells that paths may enter */
+    const uint8_t *passable; /* the same; two other cells close the diagonal between them */
+    uint8_t *reached;        /* the same, written */
+    int64_t height, width;
+} Floods;
+
+/* The same with a border, which no path enters and which closes diagonals. */
+typedef struct {
+    int32_t *queue;
+    int8_t *fresh; /* open cells that no path has come to */
+    int8_t *passable;
+} Pool;
+
+static void flood(const Pool *pool, int64_t stride, int64_t tail) {
+    for (int64_t head = 0; head < tail; head++) {
+        const int64_t cell = pool->queue[head];
+        for (int d = 0; d < DIRECTIONS; d++) {
+            const int64_t row = STEP_ROW[d] * stride, column = STEP_COLUMN[d];
+            const int64_t next = cell + row + column;
+            if (!pool->fresh[next] ||
+                (d % 2 && !pool->passable[cell + row] && !pool->passable[cell + column]))
+                continue;
+            pool->fresh[next] = 0;
+            pool->queue[tail++] = (int32_t)next;
+        }
+    }
+}
+
+static void flood_grid(const Pool *pool, const Floods *floods, int64_t grid) {
+    const int64_t height = floods->height, width = floods->width, inside = height * width;
+    const uint8_t *open = floods->open + grid * inside, *starts = floods->starts + grid * inside;
+    uint8_t *reached = floods->reached + grid * inside;
+    int64_t tail = 0;
+    copy_inside(pool->fresh, (const int8_t *)open, height, width);
+    copy_inside(pool->passable, (const int8_t *)floods->passable + grid * inside, height, width);
+    for (int64_t cell = 0; cell < inside; cell++)
+        if (starts[cell] && open[cell]) {
+            const int64_t place = cell + width + 2 + cell / width;
+            pool->fresh[place] = 0;
+            pool->queue[tail++] = (int32_t)place;
+        }
+    flood(pool, width + 1, tail);
+    for (int64_t row = 0; row < height; row++)
+        for (int64_t column = 0; column < width; column++) {
+            const int64_t cell = row * width + column;
+            reached[cell] = open[cell] && !pool->fresh[cell + width + 2 + row];
+        }
+}
+
+/* Floods grids `first` to `last` - 1. Returns 0, or 1 when memory is out. */
+int marl_explore_floods(const Floods *floods, int64_t first, int64_t last) {
+    const int64_t cells = bordered_cells(floods->height, floods->width);
+    int32_t *memory = malloc(cells * (sizeof(int32_t) + 2));
+    if (memory == NULL)
+        return NO_MEMORY;
+    const Pool pool = {memory, (int8_t *)(memory + cells), (int8_t *)(memory + cells) + cells};
+    memset(pool.fresh, 0, 2 * cells);
+    for (int64_t grid = first; grid < last; grid++)
+        flood_grid(&pool, floods, grid);
+    free(memory);
+    return DONE;
 }
