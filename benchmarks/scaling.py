@@ -2,6 +2,7 @@
 
 python -m benchmarks.scaling
 python -m benchmarks.scaling --preset fast --num-envs 512 --workers 1 2 4 --collector ray
+python -m benchmarks.scaling --arenas lidar-32 --num-envs 1024 --rollout-steps 10
 
 Seconds per update with W workers: U + F + C / W + a + b W. U is the update in the main process; a
 batch in one process takes F + C, of which F is there for any number of arenas (calls of Python and
@@ -13,14 +14,16 @@ from __future__ import annotations
 
 import math
 import statistics
+import sys
 import time
 from dataclasses import dataclass, replace
 
 import torch
-import tyro
 
-from marl_explore import cli
+from marl_explore import parse_options
+from marl_explore.arenas import fit
 from marl_explore.config.run import CollectorKind, RunConfig
+from marl_explore.training.config import TrainConfig
 from marl_explore.training.presets import PRESETS
 from marl_explore.training.trainer import Trainer
 
@@ -55,7 +58,8 @@ class Model:
     @property
     def best_workers(self) -> int:
         """Where one more worker costs as much as it brings, sqrt(C / b); 0: nowhere."""
-        return round(math.sqrt(self.divisible / self.per_worker)) if self.per_worker > 0 else 0
+        measured = self.per_worker > 0 and self.divisible > 0  # else noise was larger than they are
+        return round(math.sqrt(self.divisible / self.per_worker)) if measured else 0
 
     def __str__(self) -> str:
         best = self.best_workers
@@ -74,18 +78,34 @@ class Arguments:
     preset: str = "fast"
     num_envs: int | None = None
     """Arenas; default: the preset's."""
+    arenas: str = "uniform"
+    """Kind of arenas, or a suite with its robots."""
+    rollout_steps: int | None = None
+    """Steps of a batch; default: the preset's."""
     collector: CollectorKind = "multisync"
     workers: tuple[int, ...] = (1, 2)
     repeats: int = 7
     """Batches and updates per number of workers; the median counts."""
 
+    @property
+    def config(self) -> TrainConfig:
+        """The training that is measured."""
+        preset = PRESETS[self.preset]
+        return replace(
+            preset,
+            arenas=self.arenas,
+            arena=fit(preset.arena, self.arenas),
+            num_envs=self.num_envs or preset.num_envs,
+            rollout_steps=self.rollout_steps or preset.rollout_steps,
+        )
 
-def measure(arguments: Arguments, run: RunConfig, num_envs: int) -> tuple[float, float]:
+
+def measure(config: TrainConfig, run: RunConfig, repeats: int) -> tuple[float, float]:
     """Median seconds of a batch and of an update."""
-    trainer = Trainer(replace(PRESETS[arguments.preset], num_envs=num_envs), run)
+    trainer = Trainer(config, run)
     collections, updates = [], []
     trainer.collect()  # starts the workers
-    for _ in range(arguments.repeats):
+    for _ in range(repeats):
         start = time.perf_counter()
         (batch,) = trainer.collect()
         collected = time.perf_counter()
@@ -98,12 +118,11 @@ def measure(arguments: Arguments, run: RunConfig, num_envs: int) -> tuple[float,
 
 def main(arguments: Arguments) -> list[str]:
     """A row per number of workers, and the model's constants."""
-    config = PRESETS[arguments.preset]
-    arenas = arguments.num_envs or config.num_envs
-    alone, update = measure(arguments, RunConfig(), arenas)
-    half, _ = measure(arguments, RunConfig(), arenas // 2)
+    config, repeats, kind = arguments.config, arguments.repeats, arguments.collector
+    alone, update = measure(config, RunConfig(), repeats)
+    half, _ = measure(replace(config, num_envs=config.num_envs // 2), RunConfig(), repeats)
     there = {
-        w: measure(arguments, RunConfig(collector=arguments.collector, workers=w), arenas)[0]
+        w: measure(config, RunConfig(collector=kind, workers=w), repeats)[0]
         for w in arguments.workers
     }
     lines = [f"{'':>10}  {'batch s':>8}  {'update s':>8}  {'steps/s':>8}  batch x  whole x"]
@@ -111,7 +130,7 @@ def main(arguments: Arguments) -> list[str]:
         whole = seconds + update
         lines.append(
             f"{name:>10}  {seconds:8.3f}  {update:8.3f}  "
-            f"{arenas * config.rollout_steps / whole:8.0f}  {alone / seconds:7.2f}  "
+            f"{config.batch_frames / whole:8.0f}  {alone / seconds:7.2f}  "
             f"{(alone + update) / whole:7.2f}"
         )
     if len(there) > 1:
@@ -121,6 +140,6 @@ def main(arguments: Arguments) -> list[str]:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    asked = tyro.cli(Arguments, description=__doc__, config=cli.OPTIONS)
+    asked = parse_options(Arguments, sys.argv[1:], "benchmarks.scaling", __doc__)
     print(f"{asked}, torch {torch.__version__}")
     print("\n".join(main(asked)))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -15,9 +17,11 @@ from benchmarks import (
     environment,
     explorers,
     frontier,
+    harl,
     locks,
     messages,
     on_board,
+    peers,
     planners,
     robustness,
     scaling,
@@ -35,6 +39,7 @@ from marl_explore.policies.networks import MLP
 from marl_explore.robot.agreement import Way, agree
 from marl_explore.robot.messages import Intent
 from marl_explore.training.config import TrainConfig
+from tests.helpers.programs import here
 
 
 def test_baselines_count_the_same_trajectories():
@@ -60,6 +65,23 @@ def test_the_environment_benchmark_runs():
     rates = environment.measure(num_envs=2, repeats=1)
     assert {"ours, auto", "ours, torch", "collector", "PettingZoo-style Python"} <= set(rates)
     assert all(rate > 0 for rate in rates.values())
+
+
+def test_the_benchmark_of_peers_measures_ours_and_names_who_is_absent(monkeypatch):
+    for module in ("jaxmarl", "jumanji"):  # nobody waits for their compilation
+        monkeypatch.setitem(sys.modules, module, None)
+    head, ours, *others = peers.report(batches=(1, 2), repeats=1)
+    assert head.split() == ["arenas:", "1", "2"]
+    name, rates = ours.split(": ")
+    assert name.strip() == "ours, FPR and NET"
+    assert len(rates.split()) == 2
+    assert all(float(rate) > 0 for rate in rates.split())
+    for library in ("VMAS", "JaxMARL", "Jumanji", "POGEMA", "mpe2"):
+        lines = [line for line in others if line.strip().startswith(library)]
+        assert len(lines) == 1
+        if find_spec(library.lower()) is None:
+            assert lines[0].endswith(": not installed")
+    assert "JaxMARL: not installed" in others
 
 
 def test_the_cost_curves_are_measured_and_drawn(tmp_path):
@@ -216,6 +238,12 @@ def test_the_bare_products_are_those_of_an_iteration():
     assert sum(n * k * m for n, k, m in training.iteration_products(config)) == expected
 
 
+def test_the_benchmark_of_harl_refuses_a_folder_without_it(tmp_path):
+    with pytest.raises(SystemExit, match="it must be a clone of HARL, with harl/runners") as stop:
+        harl.main([str(tmp_path)])
+    assert str(stop.value).startswith(f"error: path={str(tmp_path)!r} is not allowed: ")
+
+
 def test_the_model_of_scaling_finds_its_constants():
     batch = {w: 0.1 + 0.8 / w + 0.02 + 0.05 * w for w in (1, 2, 4)}
     model = scaling.Model.fit(update=1.0, alone=0.9, half=0.5, collections=batch)
@@ -226,8 +254,26 @@ def test_the_model_of_scaling_finds_its_constants():
 
 
 def test_the_scaling_benchmark_runs():
-    lines = scaling.main(scaling.Arguments(num_envs=8, workers=(), repeats=1))
-    assert len(lines) == 2
+    words = "--arenas lidar-32 --num-envs 4 --rollout-steps 4 --repeats 1 --workers".split()
+    done = here("benchmarks/scaling.py", *words)
+    assert done.returncode == 0, done.stderr
+    asked, _, alone = done.stdout.splitlines()
+    assert "arenas='lidar-32'" in asked
+    assert alone.split()[:2] == ["in", "process"]
+
+
+def test_noise_larger_than_what_is_measured_has_no_best_number_of_workers():
+    assert scaling.Model(1.0, 0.5, -0.1, 0.0, 0.1).best_workers == 0
+    assert scaling.Model(1.0, 0.5, 0.1, 0.0, -0.1).best_workers == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["completion", "harl", "messages", "peers", "robustness", "scaling"]
+)
+def test_command_lines_say_what_they_take(name):
+    done = here(f"benchmarks/{name}.py", "--help")
+    assert done.returncode == 0, done.stderr
+    assert "usage:" in done.stdout
 
 
 def test_everything_on_board_decides_with_and_without_kernels():
