@@ -83,8 +83,9 @@ class Recording:
         maps = snapshot(grid, self._target[rows], alive)
         entries = {key: agents[key] for key in (*STATES, *EVENTS)}
         entries["linked"] = any_linked(entries["linked"])
-        if self._steps:
-            entries["action"] = agents["action"]
+        # the reset has none
+        stays = torch.full_like(alive, STAY, dtype=torch.int64)
+        entries["action"] = agents["action"] if self._steps else stays
         self._steps.append(_Step(rows, maps, entries))
         self._now = _Now(grid, alive, agents["position"], maps.union_targets)
         if self._until_mapped:
@@ -139,18 +140,17 @@ class Recording:
         )
 
     def _entries(self, key: str) -> Tensor:
-        return self._table([step.entries.get(key) for step in self._steps])
+        return self._table([step.entries[key] for step in self._steps])
 
     def _counts(self, key: str) -> Tensor:
         return self._table([getattr(step.maps, key) for step in self._steps])
 
-    def _table(self, values: list[Tensor | None]) -> Tensor:
-        """Values of all steps, [B, steps, ...]; 0 where there are none."""
-        like = next(value for value in values if value is not None)
-        table = like.new_zeros(len(self._num_targets), len(values), *like.shape[1:])
+    def _table(self, values: list[Tensor]) -> Tensor:
+        """Values of all steps, [B, steps, ...]; 0 for arenas that were not observed any more."""
+        first = values[0]
+        table = first.new_zeros(len(first), len(values), *first.shape[1:])
         for number, (step, value) in enumerate(zip(self._steps, values, strict=True)):
-            if value is not None:
-                table[step.rows, number] = value
+            table[step.rows, number] = value
         return table
 
 

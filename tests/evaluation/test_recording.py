@@ -9,7 +9,7 @@ from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.config.constants import STAY
 from marl_explore.core import motion
 from marl_explore.evaluation import metrics
-from marl_explore.evaluation.episodes import play, record
+from marl_explore.evaluation.episodes import measure_steps, play, record
 from marl_explore.evaluation.recording import EVENTS, STATES
 from marl_explore.evaluation.registry import find_policy
 
@@ -151,3 +151,11 @@ def test_play_is_what_is_recorded():
     env = ExplorationEnv(PLAIN, 4, stream="test", max_steps=30)
     positions = [step["agents", "position"] for step in play(policy, env, 30)]
     assert torch.equal(record(policy, PLAIN, 4, 30).position, torch.stack(positions, 1))
+
+
+def test_a_reset_alone_is_an_episode_of_no_steps():
+    env = ExplorationEnv(PLAIN, 4)
+    none = measure_steps([env.reset()], PLAIN)
+    assert none.action.shape == (4, 0, 3)
+    assert none.position.shape == (4, 1, 3, 2)
+    assert none.ended.tolist() == [0] * 4
