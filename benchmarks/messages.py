@@ -76,7 +76,7 @@ class Mute(nn.Module):
 
     def __init__(self, policy: Actor) -> None:
         super().__init__()
-        self.policy = policy
+        self.policy, self.whole_batch = policy, getattr(policy, "whole_batch", False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Act as if communicating were not allowed."""

@@ -89,6 +89,7 @@ class Assuming(nn.Module):
         assert isinstance(config.sensing_range, float)
         assumed = replace(config, sensing_range=factor * config.sensing_range)
         self.policy, self.radius = find_policy(name, assumed), assumed.fov_radius
+        self.whole_batch = getattr(self.policy, "whole_batch", False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Act on the middle of the field of view, or on one with a margin that is never seen."""

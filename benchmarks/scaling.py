@@ -93,6 +93,7 @@ class Arguments:
         preset = PRESETS[self.preset]
         return replace(
             preset,
+            scenes=(),
             arenas=self.arenas,
             arena=fit(preset.arena, self.arenas),
             num_envs=self.num_envs or preset.num_envs,

@@ -133,7 +133,7 @@ def flooded(starts: Tensor, free: Tensor, passable: Tensor, backend: Backend = "
 
     Args:
         starts: where paths begin.
-        free: cells that they may enter.
+        free: cells that they may enter, all of them passable.
         passable: two other cells close the diagonal between them.
         backend: "torch", "native" (C, CPU tensors only), or "auto" (native where possible).
     """

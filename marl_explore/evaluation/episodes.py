@@ -195,8 +195,8 @@ def _forget_others(policy: Actor, arenas: Tensor) -> None:
     """Tell the parts of a policy that remember a batch which of its arenas are left, int64 [b]."""
     parts = policy.modules() if isinstance(policy, nn.Module) else [policy]
     for part in parts:
-        if (only := getattr(part, "only", None)) is not None:
-            only(arenas)
+        if hasattr(type(part), "only"):  # not what a wrapper passes on: its parts are asked too
+            part.only(arenas)  # type: ignore[attr-defined]
 
 
 def _some(env: ExplorationEnv, arenas: Tensor) -> ExplorationEnv:

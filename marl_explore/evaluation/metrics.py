@@ -76,8 +76,8 @@ class Episodes(NamedTuple):
     num_targets: Tensor
     """int64 [B]."""
     ended: Tensor
-    """Steps until the end of each episode, int64 [B]: T, or fewer if it ended when all maps were
-    complete. After it states stay and nothing happens."""
+    """Steps until the end of each episode, int64 [B]: T, or fewer if it ended when the maps of all
+    living robots were complete, or none lived. After it states stay and nothing happens."""
     finishable: Tensor
     """Whether the living robots can still complete a map after the last step, bool [B]."""
     lost_targets: Tensor

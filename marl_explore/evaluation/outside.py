@@ -11,6 +11,7 @@ import inspect
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -168,7 +169,7 @@ class RobotPolicies:
         require(fpr in NORMALIZATIONS, f"{name}.fpr", fpr, f"use one of {NORMALIZATIONS}")
         self._observed = _dictionary if observes == "pettingzoo" else _own_copy
         self._features = make_features(config, ("fpr", "net"), fpr)
-        self._policies: dict[int, list[RobotPolicy]] = {}
+        self._policies: dict[tuple[int, int], list[RobotPolicy]] = {}
         with own_chance():
             self._make(0, 0)  # an error comes before anything is run
 
@@ -195,10 +196,15 @@ class RobotPolicies:
     def _of_episodes(self, draw_key: Tensor, steps: list[int]) -> list[list[RobotPolicy]]:
         """The policies of every arena's robots, made where an episode begins.
 
-        They go by the episode's key, since batches may lose arenas.
+        They go by the episode's key, since batches may lose arenas; of arenas with the same key, by
+        their order.
         """
         keys = _keys(draw_key, "robot", 0, self.config.num_agents)
-        episodes = draw_key.flatten().tolist()
+        before: Counter[int] = Counter()
+        episodes = []
+        for key in draw_key.flatten().tolist():
+            episodes.append((key, before[key]))
+            before[key] += 1
         for episode, step, own in zip(episodes, steps, keys, strict=True):
             if step == 0 or episode not in self._policies:
                 self._policies[episode] = [self._made_anew(*robot) for robot in enumerate(own)]

@@ -100,6 +100,7 @@ class Recording:
     def only(self, places: Tensor) -> None:
         """From now on observations are of these arenas of the last one alone, int64 [b]."""
         self._rows = self._rows[places]
+        self._now = _Now(*(entry[places] for entry in self._now))
 
     def _end(self, places: Tensor) -> None:
         """The episodes of some arenas of the last observation end with it."""

@@ -57,6 +57,13 @@ def test_any_batch(backend, batch):
     assert flooded(*views, backend).shape == (*batch, 5, 4)
 
 
+def test_the_operator_is_what_it_says_it_is():
+    chance = torch.Generator().manual_seed(0)
+    starts, free = (torch.rand(3, 4, 5, generator=chance) < share for share in (0.2, 0.7))
+    for given in ((starts, free, free), [x.transpose(-1, -2) for x in (starts, free, free)]):
+        torch.library.opcheck(torch.ops.marl_explore.flooded.default, tuple(given))
+
+
 def test_a_wall_of_two_cells_closes_the_diagonal_between_them():
     free = torch.tensor([[True, False], [False, True]])
     starts = torch.tensor([[True, False], [False, False]])

@@ -92,6 +92,24 @@ def test_a_class_is_made_for_every_robot_and_episode(agents):
     assert evaluate(policy, SMALL, num_arenas=3, steps=60)["final_largest_coverage"] > 0.9
 
 
+def test_two_arenas_of_one_episode_have_robots_of_their_own(agents, monkeypatch):
+    class Count:
+        def __init__(self):
+            self.calls = 0
+
+        def __call__(self, observation):
+            self.calls += 1
+            return self.calls % 8
+
+    monkeypatch.setattr(agents, "Count", Count, raising=False)
+    policy = find_policy("explorers.agents:Count", SMALL)
+    seen = make_env(SMALL, 2).reset()
+    twice = torch.cat((seen, seen))
+    for step in range(3):
+        twice["step_count"] = torch.full_like(twice["step_count"], step)
+        assert (policy(twice.clone())["agents", "action"] == step + 1).all()
+
+
 def test_a_robot_gets_its_observation_with_the_table_it_asks_for(agents, monkeypatch):
     got = []
     monkeypatch.setattr(agents, "walk", lambda observation: got.append(observation) or 8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import nn
 
 from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.config.constants import STAY
@@ -102,6 +103,42 @@ def test_what_failures_cost_is_asked_at_the_end_whatever_comes_later():
         for arena in (arena for arena in range(ARENAS) if ends[arena] == end):
             assert short.finishable[arena] == ended.finishable[arena]
             assert short.lost_targets[arena] == ended.lost_targets[arena]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_it_is_asked_of_the_right_arenas_when_others_leave_at_the_last_step(seed):
+    config = ArenaConfig(height=9, width=9, num_agents=3, failure_rate=0.03)
+    policy = find_policy("hungarian", config)
+    for steps in range(18, 28):
+        whole, ended = (
+            record(policy, config, 8, steps, seed=seed, until_mapped=until)
+            for until in (False, True)
+        )
+        going_on = ended.ended == steps
+        assert torch.equal(whole.finishable[going_on], ended.finishable[going_on])
+        assert torch.equal(whole.lost_targets[going_on], ended.lost_targets[going_on])
+
+
+class Wrapper(nn.Module):
+    """Passes on what it is asked for, as compiled modules do."""
+
+    def __init__(self, policy):
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation):
+        return self.policy(observation)
+
+    def __getattr__(self, name):
+        return super().__getattr__(name) if name == "policy" else getattr(self.policy, name)
+
+
+def test_wrapped_policies_forget_once():
+    policy = find_policy("rendezvous", PLAIN)
+    bare, wrapped = (
+        record(one, PLAIN, ARENAS, STEPS, until_mapped=True) for one in (policy, Wrapper(policy))
+    )
+    assert torch.equal(bare.position, wrapped.position)
 
 
 def test_arenas_that_are_over_are_not_stepped():

@@ -34,7 +34,10 @@ def process(script, *arguments, cwd=None):
 
 
 def here(script, *arguments, cwd=None):
-    """A script of the repository in this process; what it sets globally is undone."""
+    """A script of the repository in this process.
+
+    Afterwards folder, torch's threads and its random state are as before.
+    """
     path, out, err = ROOT / script, io.StringIO(), io.StringIO()
     threads, chance, folder = torch.get_num_threads(), torch.get_rng_state(), os.getcwd()
     code = 0

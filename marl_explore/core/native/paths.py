@@ -90,11 +90,11 @@ def _flooded(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
 
 @torch.library.register_fake(_FLOOD)
 def _(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
-    return torch.empty_like(starts)
+    return starts.new_empty(starts.shape)
 
 
 def flooded(starts: Tensor, free: Tensor, passable: Tensor) -> Tensor:
-    """``core.mapping.flooded`` in C, equal in every entry, on the CPU.
+    """``core.mapping.flooded`` in C, equal in every entry where all free cells are passable.
 
     Raises:
         ValueError: for entries of another dtype, shape or device.
