@@ -10,6 +10,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from benchmarks import (
     completion,
@@ -146,12 +147,24 @@ def test_the_price_of_faults_is_measured_on_the_same_arenas(tmp_path):
     assert (tmp_path / "faults.png").stat().st_size > 10_000
 
 
+class Looking(nn.Module):
+    """Does nothing but note what robots see."""
+
+    def __init__(self, seen):
+        super().__init__()
+        self.seen = seen
+
+    def forward(self, tensordict):
+        self.seen.append(tensordict["agents", "observation", "fov"])
+        return tensordict
+
+
 def test_robots_with_a_wrong_idea_of_their_sensors_get_a_view_of_that_size():
     """Wider than it is, the margin is never seen; narrower, it is cut off."""
     seen = []
     for factor in (0.5, 2.0):
         policy = robustness.Assuming("goal-utility", robustness.BASE, factor)
-        policy.policy = lambda td: seen.append(td["agents", "observation", "fov"]) or td
+        policy.policy = Looking(seen)
         now = ExplorationEnv(robustness.BASE).reset()
         whole = now["agents", "observation", "fov"]
         policy(now)
@@ -188,7 +201,9 @@ def test_what_communication_brings_is_measured(tmp_path, monkeypatch):
         assert silent.whole.sum() == silent.delta.sum() == 0
         assert silent.to_100.mean() > radio.to_100.mean() > free.to_100.mean()
         often, seldom = (cases[f"every {timer} steps"] for timer in (4, 64))
-        assert often.whole.mean() >= seldom.whole.mean() > 0
+        # in each step: who sends seldom may take longer
+        rates = [(one.whole / one.to_100).mean() for one in (often, seldom)]
+        assert rates[0] >= rates[1] > 0
         assert (radio.delta <= radio.whole).all()
     config = ArenaConfig()
     one = record(find_policy("nearest-timer", config), config, 6, 300, seed=1)
