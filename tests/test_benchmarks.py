@@ -206,7 +206,8 @@ def test_what_communication_brings_is_measured(tmp_path, monkeypatch):
         assert rates[0] >= rates[1] > 0
         assert (radio.delta <= radio.whole).all()
     config = ArenaConfig()
-    one = record(find_policy("nearest-timer", config), config, 6, 300, seed=1)
+    policy = find_policy("nearest-timer", config)
+    one = record(policy, config, 6, 300, seed=1, until_mapped=True)
     known = results["nearest-timer"][messages.RADIO]
     expected = metrics.bytes_sent(one, metrics.before_completion(one)) / 4
     assert known.whole.tolist() == expected.tolist()
