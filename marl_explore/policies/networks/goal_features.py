@@ -59,9 +59,10 @@ class GoalFeatures(NamedTuple):
     frontier: Tensor
     """[V, FRONTIER_SIZE]."""
     pair: Tensor
-    """Of every teammate beside every candidate frontier, [V, max(N - 1, 1), PAIR_SIZE]."""
+    """Of every teammate beside every candidate frontier, [V, max(N - 1, 1), PAIR_SIZE]; where dense,
+    of every robot, [V, N, PAIR_SIZE]."""
     known_mate: Tensor
-    """Teammates that were seen, bool [V, max(N - 1, 1)]."""
+    """Teammates that were seen, bool [V, max(N - 1, 1)], or [V, N]."""
     mate: Tensor
     """[R, N, MATE_SIZE]."""
     still: Tensor
@@ -101,8 +102,8 @@ class FeatureScaling(nn.Module):
 
         Args:
             candidates: of R robots.
-            dense: whether rows without a candidate have features too, which mean nothing: then V is
-                24 R, and no shape depends on what there is.
+            dense: whether rows without a candidate have features too, which mean nothing, and pairs
+                all N robots: then V is 24 R, and no shape depends on what there is.
         """
         dtype = self.weights.dtype
         moves = candidates.frontiers[..., GOAL_COLUMNS.index("moves")]
@@ -118,12 +119,12 @@ class FeatureScaling(nn.Module):
             mates=candidates.mates.to(dtype), context=candidates.context.to(dtype)
         )
         known = candidates.mates[..., MATE_COLUMNS.index("seen")] > 0
-        others = _others(known).unsqueeze(-1)
+        others = None if dense else _others(known)
         # as if each candidate had a robot of its own
         alone = Candidates(
             frontiers.unsqueeze(-2),
-            rivals.take_along_dim(others.index_select(0, row), -2).unsqueeze(-3),
-            candidates.mates.take_along_dim(others, -2).index_select(0, row),
+            _of(others if others is None else others.index_select(0, row), rivals).unsqueeze(-3),
+            _of(others, candidates.mates).index_select(0, row),
             candidates.context.index_select(0, row),
         )
         terms = place_terms(alone)
@@ -147,7 +148,7 @@ class FeatureScaling(nn.Module):
         nearer = (length < walk) & (seen > 0).unsqueeze(-2)
         first = nearest.index_select(0, row)
         frontier = self._places(alone.frontiers, terms, first, nearer, linked_there, utility)
-        about_there = about.take_along_dim(others, -2).index_select(0, row)
+        about_there = _of(others, about).index_select(0, row)
         pair = self._pairs(linked_there, about_there, length, knows, walk.squeeze(-1), age)
         return GoalFeatures(
             row=row,
@@ -287,6 +288,11 @@ class FeatureScaling(nn.Module):
 def _every_place(table: Tensor) -> Tensor:
     """The numbers of all entries of a table [R, C], int64 [R C]."""
     return torch.arange(table.numel(), device=table.device)
+
+
+def _of(robots: Tensor | None, table: Tensor) -> Tensor:
+    """What a table [R, N, F] says of some robots int64 [R, n], [R, n, F]; None: of all."""
+    return table if robots is None else table.take_along_dim(robots.unsqueeze(-1), -2)
 
 
 def _others(known: Tensor) -> Tensor:
