@@ -59,7 +59,7 @@ class GoalFeatures(NamedTuple):
     frontier: Tensor
     """[V, FRONTIER_SIZE]."""
     pair: Tensor
-    """Of every teammate beside every candidate frontier, [V, max(N - 1, 1), PAIR_SIZE]; where dense,
+    """Of every teammate beside every candidate frontier, [V, max(N - 1, 1), PAIR_SIZE]; if dense
     of every robot, [V, N, PAIR_SIZE]."""
     known_mate: Tensor
     """Teammates that were seen, bool [V, max(N - 1, 1)], or [V, N]."""
