@@ -12,12 +12,10 @@ an environment of its own.
 from __future__ import annotations
 
 import argparse
-import math
 import os
-import statistics
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +29,7 @@ import numpy as np
 import torch
 
 from benchmarks.environment import EPISODE, ROBOTS, our_step, vmas_step
-from benchmarks.timing import TURN_SECONDS, conditions
+from benchmarks.timing import conditions, medians
 from marl_explore import ArenaConfig
 
 BATCHES = (1, 8, 512, 4096)
@@ -237,33 +235,11 @@ def measure(batches: Sequence[int] = BATCHES, repeats: int = 5) -> dict[str, dic
                 for name, contender in present.items()
                 if num_envs <= contender.largest
             }
-        seconds = cpu_medians({name: call for name, (call, _) in steps.items()}, repeats)
+        # of all threads: JAX has threads of its own
+        seconds = medians({n: call for n, (call, _) in steps.items()}, repeats, time.process_time)
         for name, (_, count) in steps.items():
             rates[name][num_envs] = count / seconds[name]
     return rates
-
-
-def cpu_medians(contenders: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """As ``timing.medians`` but seconds of all threads: JAX has threads of its own."""
-    calls = {name: enough_calls(function) for name, function in contenders.items()}
-    times: dict[str, list[float]] = {name: [] for name in contenders}
-    for _ in range(repeats):
-        for name, function in contenders.items():
-            times[name].append(cpu_seconds(function, calls[name]) / calls[name])
-    return {name: statistics.median(values) for name, values in times.items()}
-
-
-def enough_calls(function: Callable[[], object]) -> int:
-    """How many calls make up a turn; the first one, which may compile, does not count."""
-    function()
-    return max(1, math.ceil(TURN_SECONDS / cpu_seconds(function, 1)))
-
-
-def cpu_seconds(function: Callable[[], object], calls: int) -> float:
-    start = time.process_time()
-    for _ in range(calls):
-        function()
-    return time.process_time() - start
 
 
 def report(batches: Sequence[int] = BATCHES, repeats: int = 5) -> list[str]:
