@@ -193,7 +193,7 @@ def slow_delta_bytes(episodes, arena):
 
 def test_what_communication_brings_is_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(messages, "TIMERS", (4, 64))
-    results = messages.measure(["nearest-timer", "best:argmax"], "paper-12/4:6", seed=1)
+    results = messages.measure(["nearest-timer", "best:argmax"], "paper-12/4:12", seed=1)
     for cases in results.values():
         silent, radio, free = (
             cases[case] for case in (messages.NEVER, messages.RADIO, messages.UNLIMITED)
@@ -201,17 +201,15 @@ def test_what_communication_brings_is_measured(tmp_path, monkeypatch):
         assert silent.whole.sum() == silent.delta.sum() == 0
         assert silent.to_100.mean() > radio.to_100.mean() > free.to_100.mean()
         often, seldom = (cases[f"every {timer} steps"] for timer in (4, 64))
-        # in each step: who sends seldom may take longer
-        rates = [(one.whole / one.to_100).mean() for one in (often, seldom)]
-        assert rates[0] >= rates[1] > 0
+        assert often.whole.mean() >= seldom.whole.mean() > 0
         assert (radio.delta <= radio.whole).all()
     config = ArenaConfig()
     policy = find_policy("nearest-timer", config)
-    one = record(policy, config, 6, 300, seed=1, until_mapped=True)
+    one = record(policy, config, 12, 300, seed=1, until_mapped=True)
     known = results["nearest-timer"][messages.RADIO]
     expected = metrics.bytes_sent(one, metrics.before_completion(one)) / 4
     assert known.whole.tolist() == expected.tolist()
-    assert known.delta.tolist() == [slow_delta_bytes(one, arena) / 4 for arena in range(6)]
+    assert known.delta.tolist() == [slow_delta_bytes(one, arena) / 4 for arena in range(12)]
     assert len(messages.table({"here": results}).splitlines()) == 2 + 2 * 5
     messages.figure({"here": results}, tmp_path / "messages.png")
     assert (tmp_path / "messages.png").stat().st_size > 10_000
