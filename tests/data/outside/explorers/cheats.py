@@ -1,6 +1,6 @@
 """Policies that act on what their robot cannot know, each in its own way."""
 
-import gc
+import inspect
 
 import numpy as np
 import torch
@@ -26,8 +26,9 @@ class Telepath:
 
 
 def peeps(observation):
-    """Looks for the environment in the memory of the process."""
-    env = next(x for x in gc.get_objects() if type(x).__name__ == "ExplorationEnv")
+    """Looks for the environment among the variables of its callers."""
+    callers = (frame.frame.f_locals.values() for frame in inspect.stack(context=0))
+    env = next(x for held in callers for x in held if type(x).__name__ == "ExplorationEnv")
     return _some(observation.action_mask, int(env._now.world.obstacles.sum()))
 
 
