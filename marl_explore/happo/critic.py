@@ -20,7 +20,9 @@ from marl_explore.happo.checks import (
     require_column,
     require_finite,
     select,
+    state_keys,
 )
+from marl_explore.happo.values import write_values
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -59,6 +61,7 @@ class TeamCriticLoss(LossModule):
         self.critic = critic
         self.value_norm = value_norm
         self._estimator_options: dict[str, Any] = {}
+        self._value_of_each: _TeamValue | None = None
 
     @property
     def critic_keys(self) -> list[NestedKey]:
@@ -92,12 +95,23 @@ class TeamCriticLoss(LossModule):
         return TensorDict({"loss_critic": loss, "explained_variance": explained}, batch_size=[])
 
     def make_value_estimator(
-        self, value_type: ValueEstimators | None = None, **hyperparams: Any
+        self,
+        value_type: ValueEstimators | None = None,
+        *,
+        each_once: bool = False,
+        **hyperparams: Any,
     ) -> Self:
         """Choose GAE's ``gamma``, ``lmbda`` and further options; ``average_gae`` defaults to True.
 
+        Args:
+            value_type: None or GAE.
+            each_once: evaluate an observation that two steps share once: about half the work, but
+                the values' last digits depend on the other rows of a matrix product.
+            hyperparams: of ``torchrl.objectives.value.GAE``.
+
         Raises:
-            ValueError: without a critic, and for ``shifted=True``, which leaves steps invalid.
+            ValueError: without a critic, for ``shifted=True``, which leaves steps invalid, and for
+                ``each_once=True`` with a critic whose values depend on the steps before.
             NotImplementedError: for another estimator than GAE.
         """
         if value_type not in (None, ValueEstimators.GAE):
@@ -108,10 +122,15 @@ class TeamCriticLoss(LossModule):
             )
         if self.critic is None:
             raise ValueError("value estimation needs a critic, and HAPPOLoss has critic=None")
+        if each_once and state_keys(self.critic):
+            raise ValueError(
+                "each_once=True is not allowed: the critic is recurrent, so the value of an "
+                "observation depends on the steps before"
+            )
         options = {"gamma": 0.99, "lmbda": 0.95, "average_gae": True, **hyperparams}
         keys = self.tensor_keys
         network = _TeamValue(self.critic, keys.value, self.value_norm)
-        estimator = GAE(value_network=network, **options)
+        estimator = GAE(value_network=None if each_once else network, **options)
         estimator.set_keys(
             advantage=keys.advantage,
             value_target=keys.value_target,
@@ -120,9 +139,10 @@ class TeamCriticLoss(LossModule):
             done=keys.done,
             terminated=keys.terminated,
         )
-        # not a submodule: it refers to the critic again, and its settings are not state
+        # not submodules: they refer to the critic again, and their settings are not state
         self.__dict__["_value_estimator"] = estimator
-        self._estimator_options = options
+        self.__dict__["_value_of_each"] = network if each_once else None
+        self._estimator_options = {"each_once": each_once, **options}
         return self
 
     @torch.no_grad()
@@ -163,6 +183,8 @@ class TeamCriticLoss(LossModule):
                 unravel_key(("next", key)),
                 f"{CRITIC} for the value after a step; a collector keeps it with compact_obs=False",
             )
+        if self._value_of_each is not None:
+            write_values(tensordict, self._value_of_each, self.tensor_keys.value)
         self.value_estimator(tensordict)
         if self.value_norm is not None:
             self.value_norm.update(tensordict.get(self.tensor_keys.value_target))

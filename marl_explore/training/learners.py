@@ -67,9 +67,7 @@ def _loss(
         entropy_coeff=config.entropy_coeff,
         value_norm=PopArtValueNorm(beta=VALUE_NORM_DECAY) if config.value_norm else None,
     )
-    loss.make_value_estimator(
-        gamma=config.gamma, lmbda=config.lmbda, deactivate_vmap=not config.network.vmaps
-    )
+    loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda, each_once=True)
     return loss
 
 

@@ -35,19 +35,22 @@ def concat(fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
     return torch.cat([fov.flatten(-2), fpr.flatten(-2), net], -1)
 
 
-def recurrent_actor(kind: str) -> ProbabilisticActor:
+def memory(kind: str) -> LSTMModule | GRUModule:
     states = STATES[kind]
-    module = {"lstm": LSTMModule, "gru": GRUModule}[kind](
+    return {"lstm": LSTMModule, "gru": GRUModule}[kind](
         FEATURES,
         HIDDEN,
         in_keys=[(GROUP, "features"), *((GROUP, state) for state in states)],
         out_keys=[(GROUP, "memory"), *(("next", GROUP, state) for state in states)],
     )
+
+
+def recurrent_actor(kind: str) -> ProbabilisticActor:
     inputs = [(GROUP, "observation", entry) for entry in ENTRIES]
     return ProbabilisticActor(
         TensorDictSequential(
             TensorDictModule(concat, inputs, [(GROUP, "features")]),
-            module,
+            memory(kind),
             TensorDictModule(nn.Linear(HIDDEN, 10), [(GROUP, "memory")], [(GROUP, "logits")]),
         ),
         in_keys={"logits": (GROUP, "logits"), "mask": (GROUP, "action_mask")},
@@ -203,6 +206,16 @@ def test_a_recurrent_actor_acts_for_one_agent(kind):
     for call in (loss.actor_loss, loss.update_factor):
         with pytest.raises(ValueError, match=r"'team'.*'h'\) has shape \[6, 7, 2, 1, 8\].*a view"):
             call(batch, "team")
+
+
+@KINDS
+def test_values_of_a_critic_with_a_memory_depend_on_the_steps_before(kind):
+    value = TensorDictModule(nn.Linear(HIDDEN, 1), [(GROUP, "memory")], ["state_value"])
+    critic = TensorDictSequential(memory(kind), value)
+    loss = HAPPOLoss({"team": recurrent_actor(kind)}, critic)
+    loss.make_value_estimator(gamma=0.9)
+    with pytest.raises(ValueError, match="each_once=True is not allowed: the critic is recurrent"):
+        loss.make_value_estimator(gamma=0.9, each_once=True)
 
 
 @KINDS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torch.testing import assert_close
@@ -15,6 +15,7 @@ from torchrl.modules import (
 
 from marl_explore.happo.loss import HAPPOLoss
 from tests.helpers.happo import (
+    FEATURES,
     GAMMA,
     LMBDA,
     episodes,
@@ -89,6 +90,70 @@ def test_default_estimator_has_the_documented_numbers():
     loss = loss_of_critic(critic)
     loss.make_value_estimator(gamma=0.99, lmbda=0.95, average_gae=True)
     assert torch.equal(batch["advantage"], loss.estimate_advantage(explicit)["advantage"])
+
+
+def counted(critic: TensorDictModule) -> list[int]:
+    """The numbers of observations that it evaluates from now on."""
+    rows: list[int] = []
+    critic.register_forward_hook(lambda module, args, output: rows.append(args[0].numel()))
+    return rows
+
+
+@pytest.mark.parametrize("norm_class", [None, PopArtValueNorm])
+def test_observations_that_two_steps_share_are_evaluated_once(norm_class):
+    critic, batch = state_critic(), episodes()
+    norm = norm_class() if norm_class else None
+    if norm is not None:
+        norm.update(EARLIER)
+    twice = batch.clone()
+    loss = loss_of_critic(critic, value_norm=norm)
+    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA)
+    state = None if norm is None else {k: v.clone() for k, v in norm.state_dict().items()}
+    loss.estimate_advantage(twice)
+    if norm is not None:
+        norm.load_state_dict(state)
+    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, each_once=True)
+    rows = counted(critic)
+    assert loss.estimate_advantage(batch) is batch
+    assert rows == [16, 6]  # four episodes end, and both rows do
+    for key in ("advantage", "value_target", "state_value", ("next", "state_value")):
+        assert_close(batch[key], twice[key])
+    assert not any(x.requires_grad for x in batch.values(True, True))
+    loss.set_keys(value="state_value")  # makes the estimator anew, with the same options
+    loss.estimate_advantage(batch)
+    assert rows[2:] == [16, 6]
+
+
+@pytest.mark.parametrize("shape", [(8,), (1, 1), (3, 2, 5)])
+def test_rollouts_of_any_shape_are_evaluated_once(shape):
+    critic = state_critic()
+    state = torch.randn(*shape, FEATURES)
+    batch = TensorDict({"state": state, "next": {"state": torch.randn_like(state)}}, shape)
+    batch["next", "state"][..., :-1, :] = state[..., 1:, :]
+    batch["next"].set("reward", torch.randn(*shape, 1))
+    for name in ("done", "terminated"):
+        batch["next"].set(name, torch.zeros(*shape, 1, dtype=torch.bool))
+    loss = loss_of_critic(critic)
+    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, each_once=True, average_gae=False)
+    rows = counted(critic)
+    loss.estimate_advantage(batch)
+    assert rows == [batch.numel(), batch.numel() // shape[-1]]
+    value, next_value = predictions(critic, batch)
+    assert_close(batch["state_value"], value)
+    assert_close(batch["next", "state_value"], next_value)
+
+
+def test_an_observation_stands_for_a_next_one_that_is_absent():
+    """As in TorchRL's GAE: a collector of compact observations marks it by NaN."""
+    critic, batch = state_critic(), episodes()
+    batch["next", "state"][batch["next", "done"].squeeze(-1)] = torch.nan
+    twice = batch.clone()
+    loss = loss_of_critic(critic)
+    for rollout, each_once in ((twice, False), (batch, True)):
+        loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, each_once=each_once)
+        loss.estimate_advantage(rollout)
+    assert batch["advantage"].isfinite().all()
+    assert_close(batch["advantage"], twice["advantage"])
 
 
 EARLIER = torch.tensor([[10.0], [14.0], [15.0], [21.0]])  # targets seen before: mean 15, var 15.5

@@ -36,8 +36,6 @@ class Network(ABC):
     """The information that a robot's decisions use, as text."""
     chooses: ClassVar[Literal["moves", "goals"]] = "moves"
     """What its actors choose among: the ten actions, or candidate goals (docs/goals.md)."""
-    vmaps: ClassVar[bool] = True
-    """Whether its critics can run under ``torch.vmap``."""
     exported_as: ClassVar[str | None] = None
     """Its numpy version for robots (``robot.policy``); None: it has none."""
 

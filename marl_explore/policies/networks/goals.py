@@ -58,7 +58,6 @@ class Goals(Network):
     any_sensor = True
     sees = "own map, positions of robots in range and where it saw them last, what was exchanged"
     chooses = "goals"
-    vmaps = False
     exported_as = "goals"
 
     def __post_init__(self) -> None:
