@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import ValueNorm
@@ -186,6 +186,15 @@ class HAPPOLoss(TeamCriticLoss):
         in_order = dict.fromkeys(keys)  # each once
         del in_order[self.tensor_keys.factor]
         return list(in_order)
+
+    @property
+    def rollout_keys(self) -> list[NestedKey]:
+        """Entries of a rollout that an update reads; a collector may leave out all others."""
+        keys = self.tensor_keys
+        seen = self.critic.in_keys if self.critic is not None else []
+        after = [*seen, keys.reward, keys.done, keys.terminated]
+        read = [key for key in self.in_keys if key not in (keys.advantage, keys.value_target)]
+        return [*read, *(unravel_key(("next", key)) for key in after)]
 
     def actor_keys(self, name: str) -> list[NestedKey]:
         """Entries that ``actor_loss`` reads: minibatches need no others. The factor is optional."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 from safetensors.torch import load, save
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
@@ -31,6 +31,8 @@ from marl_explore.utils.interrupts import detach, end_with_parent
 
 _REMEMBERED = "memory."
 """Prefix of the entries of robots' memory in a collector's state."""
+_EPISODES = ("collector", "traj_ids")
+"""Entry by which TorchRL counts the steps that workers send."""
 
 
 class ResumableCollector(Collector):
@@ -41,15 +43,23 @@ class ResumableCollector(Collector):
 
     Args:
         args, options: of ``Collector``.
+        keep: entries of a batch that are returned; None: all of them. Workers send no others.
         reports: pipe through which a worker reports the error that ends it.
     """
 
     _returns: Tensor | None = None
     _memory: TensorDictBase | None = None
+    _kept: TensorDictBase | None = None
 
-    def __init__(self, *args: Any, reports: Connection | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        keep: Sequence[NestedKey] | None = None,
+        reports: Connection | None = None,
+        **options: Any,
+    ) -> None:
         super().__init__(*args, **options)
-        self._reports = reports
+        self._keep, self._reports = keep, reports
 
     @property
     def _generator(self) -> torch.Generator | None:
@@ -72,7 +82,12 @@ class ResumableCollector(Collector):
         last = batch["next"][:, -1]
         self._returns = last["episode_reward"].masked_fill(last["done"], 0.0)
         self._memory = last.get(MEMORY, None)
-        return batch
+        if self._keep is None:
+            return batch
+        if self._kept is None or not self._use_buffers:
+            counted = [_EPISODES] if self.track_traj_ids else []
+            self._kept = batch.select(*self._keep, *counted)
+        return self._kept  # TorchRL's workers return one TensorDict, whose tensors are its buffers
 
     def state_dict(self) -> dict[str, bytes]:
         """Everything that the rest of the run depends on except the policy, in one entry.
@@ -130,6 +145,7 @@ def make_collector(
     run: RunConfig | None = None,
     seed: int = 0,
     first_arena: int = 0,
+    keep: Sequence[NestedKey] | None = None,
 ) -> BaseCollector:
     """A collector of endless rollouts.
 
@@ -145,6 +161,7 @@ def make_collector(
         run: which collector; default: this process.
         seed: of the actions that workers sample; this process samples from torch's generator.
         first_arena: index of the first arena.
+        keep: entries of a batch that are returned; None: all of them.
 
     Raises:
         ValueError: when the arenas cannot be shared evenly, or Ray is not installed.
@@ -159,7 +176,9 @@ def make_collector(
     if run.collector == "process":
         env = create_env(num_envs=num_envs, first_arena=first_arena)
         options |= {"device": env.device, "track_traj_ids": False}
-        return ResumableCollector(env, policy, frames_per_batch=num_envs * steps, **options)
+        return ResumableCollector(
+            env, policy, frames_per_batch=num_envs * steps, keep=keep, **options
+        )
     parts = split_arenas(create_env, run.workers, num_envs, first_arena)
     firsts = range(first_arena, first_arena + num_envs, num_envs // run.workers)
     workers = [
@@ -167,20 +186,20 @@ def make_collector(
         for part, first in zip(parts, firsts, strict=True)
     ]
     options |= {"frames_per_batch": num_envs * steps, "total_frames": -1, "device": "cpu"}
-    if run.collector == "ray":
-        return _ray_collector(workers, policy, run, options)
-    return _worker_processes(workers, policy, run, options)
+    start = _ray_collector if run.collector == "ray" else _worker_processes
+    return start(workers, policy, run, keep, options)
 
 
 def _worker_processes(
     workers: Sequence[Callable[[], EnvBase]],
     policy: TensorDictModuleBase,
     run: RunConfig,
+    keep: Sequence[NestedKey] | None,
     options: dict[str, Any],
 ) -> BaseCollector:
     """Worker processes on this machine."""
     reader, writer = Pipe(duplex=False)
-    options["collector_class"] = partial(ResumableCollector, reports=writer)
+    options["collector_class"] = partial(ResumableCollector, keep=keep, reports=writer)
     collector: AsyncWorkers | SyncWorkers
     if run.collector == "multiasync":
         # does not wait until workers have the weights: a dead one never confirms
@@ -203,6 +222,7 @@ def _ray_collector(
     workers: Sequence[Callable[[], EnvBase]],
     policy: TensorDictModuleBase,
     run: RunConfig,
+    keep: Sequence[NestedKey] | None,
     options: dict[str, Any],
 ) -> BaseCollector:
     """Actors of a Ray cluster, one CPU each; the cluster outlives the collector."""
@@ -218,7 +238,7 @@ def _ray_collector(
         sync=True,
         postproc=lambda stacked: stacked.flatten(0, 1),  # [workers, arenas per worker, T]
         weight_sync_schemes={},
-        collector_kwargs={name: options.pop(name) for name in own},
+        collector_kwargs={"keep": keep, **{name: options.pop(name) for name in own}},
         remote_configs={"num_cpus": 1, "num_gpus": 0},
         collector_class=ResumableCollector,
         **options | {"total_frames": sys.maxsize},

@@ -6,12 +6,13 @@ from torchrl.envs import EnvBase, RewardSum
 
 from marl_explore.envs.factory import make_env
 from marl_explore.training.config import TrainConfig
+from marl_explore.training.rollout_metrics import FinalKnowledge
 
 
 def make_training_env(
     config: TrainConfig, num_envs: int | None = None, first_arena: int = 0, device: str = "cpu"
 ) -> EnvBase:
-    """The environment of a training run, or a part of its arenas, with episode returns."""
+    """The environment of a training run, or a part of its arenas, with what episodes come to."""
     env = make_env(
         config.arena,
         num_envs=num_envs or config.num_envs,
@@ -26,4 +27,5 @@ def make_training_env(
         features=config.network.features,
     )
     env.append_transform(RewardSum())
+    env.append_transform(FinalKnowledge())
     return env

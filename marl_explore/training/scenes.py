@@ -15,7 +15,7 @@ from marl_explore.training.restarts import RestartingCollector
 
 _TEAM_DIMS = {"frontiers": (-3,), "rivals": (-4, -2), "mates": (-3, -2), "context": (-2,)}
 """Dimensions of candidates [*B, N, ...] that have an entry per robot of the team."""
-_OF_STEP = ("reward", "done", "terminated", "truncated")
+_OF_STEP = ("reward", "done", "terminated")
 
 
 class SceneRollouts:

@@ -9,7 +9,7 @@ from statistics import fmean
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 
 from marl_explore.config.run import RunConfig
 from marl_explore.happo.diagnostics import FactorWatch
@@ -22,7 +22,7 @@ from marl_explore.training.learners import make_learners
 from marl_explore.training.memory import policy_config, require_training_memory
 from marl_explore.training.nan_guard import require_finite_batch
 from marl_explore.training.restarts import RestartingCollector
-from marl_explore.training.rollout_metrics import rollout_metrics
+from marl_explore.training.rollout_metrics import METRIC_KEYS, rollout_metrics
 from marl_explore.training.scenes import SceneRollouts, join_scenes
 from marl_explore.utils.devices import find_device
 
@@ -76,8 +76,15 @@ class Trainer:
             steps=config.rollout_steps,
             run=run,
             seed=config.seed,
+            keep=self._read,
         )
         return RestartingCollector(make, self.policy.team, run, config.num_envs)
+
+    @property
+    def _read(self) -> list[NestedKey]:
+        """Entries of a rollout that metrics and learners read."""
+        read = [key for learner in self.learners.values() for key in learner.loss.rollout_keys]
+        return list(dict.fromkeys([*METRIC_KEYS, *read]))
 
     @property
     def frames(self) -> int:

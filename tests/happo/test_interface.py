@@ -72,6 +72,27 @@ def test_renamed_keys(value_norm, keys_first):
     assert_same_losses(team.loss(plain), renamed.loss(other))
 
 
+@pytest.mark.parametrize("renamed", [{}, {"reward": "gain", "done": ("end", "all")}], ids=str)
+def test_an_update_reads_the_rollout_s_keys_and_no_others(renamed):
+    team = make_team()
+    team.loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA)
+    team.loss.set_keys(**renamed)
+    whole = team.batch.exclude("advantage", "value_target")
+    for key, name in renamed.items():
+        whole["next", name] = whole["next"].pop(key)
+    kept = whole.select(*team.loss.rollout_keys)
+    for batch in (whole, kept):
+        team.loss.estimate_advantage(batch)
+        for name in NAMES[:2]:
+            team.loss.update_factor(batch, name)
+    assert_same_losses(team.loss(whole), team.loss(kept))
+    for key in team.loss.rollout_keys:
+        with pytest.raises(ValueError, match="has no entry"):
+            team.loss(
+                team.loss.estimate_advantage(whole.select(*team.loss.rollout_keys).exclude(key))
+            )
+
+
 def test_forward_returns_all_losses_at_the_factor_of_the_batch():
     team = make_team()
     for network in team.networks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -11,6 +12,8 @@ from torchrl.envs import ExplorationType, set_exploration_type
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.policies.io import load_policy, save_policy
 from marl_explore.policies.policy import Policy, PolicyConfig
+from marl_explore.training.collectors import make_collector
+from marl_explore.training.environment import make_training_env
 from marl_explore.training.trainer import Trainer
 from tests.helpers.configs import BY_TYPE, NETWORKS
 
@@ -39,7 +42,10 @@ def test_robots_of_a_type_act_as_with_actors_of_their_own_that_are_equal(network
     equal.init_from(policy)
     loaded = load_policy(save_policy(policy, tmp_path / "team.safetensors"))
     assert (len(policy.actors), len(equal.actors), len(loaded.actors)) == (2, 4, 2)
-    (batch,) = Trainer(run(network)).collect()
+    config = run(network)
+    actors = Trainer(config).policy.team
+    create = partial(make_training_env, config)
+    batch = next(iter(make_collector(create, actors, config.num_envs, config.rollout_steps)))
     step = batch[:, -1].exclude("next")
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         found, *others = (
