@@ -41,6 +41,16 @@ _OTHERWISE = {
     "separate_losses": _APART,
 }
 
+_CALLS_OF_GAE = (
+    "deactivate_vmap",
+    "num_chunk",
+    "num_chunks",
+    "skip_existing",
+    "value_chunk_size",
+    "vmap_randomness",
+)
+"""Options of how TorchRL's GAE calls the critic."""
+
 # ----------------------------------------------------------------------- construction
 
 
@@ -69,6 +79,21 @@ def state_keys(actor: nn.Module) -> list[NestedKey]:
     """Entries that a recurrent actor carries from step to step; none for other actors."""
     memories = [part for part in actor.modules() if isinstance(part, (LSTMModule, GRUModule))]
     return [key for part in memories for key in part.in_keys[1:-1]]  # input, states, "is_init"
+
+
+def check_reuse(critic: nn.Module, options: Iterable[str]) -> None:
+    """Refuse critics whose values cannot be reused, and options of how GAE calls the critic."""
+    if state_keys(critic):
+        raise ValueError(
+            "reuse_values=True is not allowed: the critic is recurrent, so the value of an "
+            "observation depends on the steps before"
+        )
+    for option in options:
+        if option in _CALLS_OF_GAE:
+            raise ValueError(
+                f"{option} is not allowed with reuse_values=True: it is for values that GAE "
+                "evaluates itself"
+            )
 
 
 def check_parts(actors: Mapping[str, Any], critic: Any | None, views: Mapping[str, View]) -> None:

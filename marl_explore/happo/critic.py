@@ -15,14 +15,14 @@ from torchrl.objectives.value import GAE
 
 from marl_explore.happo.checks import (
     check_batch,
+    check_reuse,
     read,
     read_column,
     require_column,
     require_finite,
     select,
-    state_keys,
 )
-from marl_explore.happo.values import write_values
+from marl_explore.happo.values import write_shared_values
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -61,7 +61,7 @@ class TeamCriticLoss(LossModule):
         self.critic = critic
         self.value_norm = value_norm
         self._estimator_options: dict[str, Any] = {}
-        self._value_of_each: _TeamValue | None = None
+        self._value_network: _TeamValue | None = None
 
     @property
     def critic_keys(self) -> list[NestedKey]:
@@ -98,20 +98,22 @@ class TeamCriticLoss(LossModule):
         self,
         value_type: ValueEstimators | None = None,
         *,
-        each_once: bool = False,
+        reuse_values: bool = False,
         **hyperparams: Any,
     ) -> Self:
         """Choose GAE's ``gamma``, ``lmbda`` and further options; ``average_gae`` defaults to True.
 
         Args:
             value_type: None or GAE.
-            each_once: evaluate an observation that two steps share once: about half the work, but
-                the values' last digits depend on the other rows of a matrix product.
+            reuse_values: evaluate an observation that two steps share once, which is about half the
+                work. The critic must evaluate every observation on its own; values may differ in
+                the last digits, since they are rows of other matrix products.
             hyperparams: of ``torchrl.objectives.value.GAE``.
 
         Raises:
-            ValueError: without a critic, for ``shifted=True``, which leaves steps invalid, and for
-                ``each_once=True`` with a critic whose values depend on the steps before.
+            ValueError: without a critic; for ``shifted=True``, which leaves steps invalid; and for
+                ``reuse_values=True`` with a recurrent critic (``LSTMModule``, ``GRUModule``) or
+                with options of how GAE calls the critic.
             NotImplementedError: for another estimator than GAE.
         """
         if value_type not in (None, ValueEstimators.GAE):
@@ -122,15 +124,12 @@ class TeamCriticLoss(LossModule):
             )
         if self.critic is None:
             raise ValueError("value estimation needs a critic, and HAPPOLoss has critic=None")
-        if each_once and state_keys(self.critic):
-            raise ValueError(
-                "each_once=True is not allowed: the critic is recurrent, so the value of an "
-                "observation depends on the steps before"
-            )
+        if reuse_values:
+            check_reuse(self.critic, hyperparams)
         options = {"gamma": 0.99, "lmbda": 0.95, "average_gae": True, **hyperparams}
         keys = self.tensor_keys
         network = _TeamValue(self.critic, keys.value, self.value_norm)
-        estimator = GAE(value_network=None if each_once else network, **options)
+        estimator = GAE(value_network=None if reuse_values else network, **options)
         estimator.set_keys(
             advantage=keys.advantage,
             value_target=keys.value_target,
@@ -141,8 +140,8 @@ class TeamCriticLoss(LossModule):
         )
         # not submodules: they refer to the critic again, and their settings are not state
         self.__dict__["_value_estimator"] = estimator
-        self.__dict__["_value_of_each"] = network if each_once else None
-        self._estimator_options = {"each_once": each_once, **options}
+        self.__dict__["_value_network"] = network if reuse_values else None
+        self._estimator_options = {"reuse_values": reuse_values, **options}
         return self
 
     @torch.no_grad()
@@ -183,8 +182,8 @@ class TeamCriticLoss(LossModule):
                 unravel_key(("next", key)),
                 f"{CRITIC} for the value after a step; a collector keeps it with compact_obs=False",
             )
-        if self._value_of_each is not None:
-            write_values(tensordict, self._value_of_each, self.tensor_keys.value)
+        if self._value_network is not None:
+            write_shared_values(tensordict, self._value_network, self.tensor_keys.value)
         self.value_estimator(tensordict)
         if self.value_norm is not None:
             self.value_norm.update(tensordict.get(self.tensor_keys.value_target))

@@ -189,7 +189,11 @@ class HAPPOLoss(TeamCriticLoss):
 
     @property
     def rollout_keys(self) -> list[NestedKey]:
-        """Entries of a rollout that an update reads; a collector may leave out all others."""
+        """Entries of a rollout that an update reads; a collector may leave out others.
+
+        What GAE reads only for options of its own (``auto_reset_env``, ``group_key``) or for n-step
+        rewards ("steps_to_next_obs") is not among them.
+        """
         keys = self.tensor_keys
         seen = self.critic.in_keys if self.critic is not None else []
         after = [*seen, keys.reward, keys.done, keys.terminated]

@@ -8,7 +8,9 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 
-def write_values(rollout: TensorDictBase, network: TensorDictModuleBase, key: NestedKey) -> None:
+def write_shared_values(
+    rollout: TensorDictBase, network: TensorDictModuleBase, key: NestedKey
+) -> None:
     """Write the values of all observations and next observations into a rollout [*B, T].
 
     Most next observations are the observation of the step that follows, and have its value. The
@@ -23,11 +25,11 @@ def write_values(rollout: TensorDictBase, network: TensorDictModuleBase, key: Ne
     now = rollout.select(*network.in_keys)
     after = rollout["next"].select(*network.in_keys)
     value: Tensor = network(now.copy()).get(key)
-    alone = torch.ones(rollout.batch_size, dtype=torch.bool, device=value.device)
-    alone[..., :-1] = ~_equal(now[..., 1:], after[..., :-1])
+    unshared = torch.ones(rollout.batch_size, dtype=torch.bool, device=value.device)
+    unshared[..., :-1] = ~_equal(now[..., 1:], after[..., :-1])
     next_value = value.roll(-1, rollout.ndim - 1)
-    ends = after[alone].apply(lambda x, before: x.where(~x.isnan(), before), now[alone])
-    next_value[alone] = network(ends).get(key)
+    ends = after[unshared].apply(lambda x, before: x.where(~x.isnan(), before), now[unshared])
+    next_value[unshared] = network(ends).get(key)
     rollout.set(key, value)
     rollout.set(("next", key), next_value)
 

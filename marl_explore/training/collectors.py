@@ -31,7 +31,7 @@ from marl_explore.utils.interrupts import detach, end_with_parent
 
 _REMEMBERED = "memory."
 """Prefix of the entries of robots' memory in a collector's state."""
-_EPISODES = ("collector", "traj_ids")
+_TRAJECTORY_IDS = ("collector", "traj_ids")
 """Entry by which TorchRL counts the steps that workers send."""
 
 
@@ -43,12 +43,14 @@ class ResumableCollector(Collector):
 
     Args:
         args, options: of ``Collector``.
-        keep: entries of a batch that are returned; None: all of them. Workers send no others.
+        keep: entries of a batch that are returned, beside TorchRL's trajectory ids if they are
+            tracked; None: all of them. Workers send no others.
         reports: pipe through which a worker reports the error that ends it.
     """
 
     _returns: Tensor | None = None
     _memory: TensorDictBase | None = None
+    _buffers: TensorDictBase | None = None
     _kept: TensorDictBase | None = None
 
     def __init__(
@@ -84,10 +86,11 @@ class ResumableCollector(Collector):
         self._memory = last.get(MEMORY, None)
         if self._keep is None:
             return batch
-        if self._kept is None or not self._use_buffers:
-            counted = [_EPISODES] if self.track_traj_ids else []
-            self._kept = batch.select(*self._keep, *counted)
-        return self._kept  # TorchRL's workers return one TensorDict, whose tensors are its buffers
+        # TorchRL writes into the same buffers, and its workers must return the same TensorDict
+        if self._buffers is not batch or self._kept is None:
+            counted = [_TRAJECTORY_IDS] if self.track_traj_ids else []
+            self._buffers, self._kept = batch, batch.select(*self._keep, *counted)
+        return self._kept
 
     def state_dict(self) -> dict[str, bytes]:
         """Everything that the rest of the run depends on except the policy, in one entry.
@@ -161,7 +164,8 @@ def make_collector(
         run: which collector; default: this process.
         seed: of the actions that workers sample; this process samples from torch's generator.
         first_arena: index of the first arena.
-        keep: entries of a batch that are returned; None: all of them.
+        keep: entries of a batch that are returned; None: all of them. Those of workers also have
+            TorchRL's trajectory ids.
 
     Raises:
         ValueError: when the arenas cannot be shared evenly, or Ray is not installed.

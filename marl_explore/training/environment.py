@@ -12,7 +12,7 @@ from marl_explore.training.rollout_metrics import FinalKnowledge
 def make_training_env(
     config: TrainConfig, num_envs: int | None = None, first_arena: int = 0, device: str = "cpu"
 ) -> EnvBase:
-    """The environment of a training run, or a part of its arenas, with what episodes come to."""
+    """The environment of a training run or a part of its arenas, with returns and coverage."""
     env = make_env(
         config.arena,
         num_envs=num_envs or config.num_envs,

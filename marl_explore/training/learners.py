@@ -67,7 +67,7 @@ def _loss(
         entropy_coeff=config.entropy_coeff,
         value_norm=PopArtValueNorm(beta=VALUE_NORM_DECAY) if config.value_norm else None,
     )
-    loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda, each_once=True)
+    loss.make_value_estimator(gamma=config.gamma, lmbda=config.lmbda, reuse_values=True)
     return loss
 
 
@@ -103,7 +103,7 @@ class Learner:
         Args:
             batch: a rollout [B, T]; advantages and values are written into it.
             generator: of the order of actors and of minibatches.
-                number: of the update, starting at 1; errors name it.
+            number: of the update, starting at 1; errors name it.
 
         Returns:
             Metrics of the losses and the factor (docs/metrics.md).

@@ -15,14 +15,14 @@ from marl_explore.core.mapping import known_cells, known_mask, known_targets, ta
 from marl_explore.core.survivors import largest_of_living
 
 
-class Final(NamedTuple):
+class FinalShares(NamedTuple):
     """What a team knows at the end of an episode, as in docs/metrics.md."""
 
     final_coverage: Tensor
     final_known_ratio: Tensor
 
 
-_READ = ("reward", "done", "episode_reward", "step_count", *Final._fields)
+_READ = ("reward", "done", "episode_reward", "step_count", *FinalShares._fields)
 METRIC_KEYS: list[NestedKey] = [
     ("agents", "action"),
     *(("next", key) for key in _READ),
@@ -32,38 +32,38 @@ METRIC_KEYS: list[NestedKey] = [
 
 
 class FinalKnowledge(Transform):
-    """Writes ``Final`` [*B, 1] in the steps that end an episode, and 0 in all others.
+    """Writes ``FinalShares`` [*B, 1] in the steps that end an episode, and 0 in all others.
 
     So a batch tells how its episodes ended without the maps of all its steps.
     """
 
     def __init__(self) -> None:
-        super().__init__(out_keys=list(Final._fields))
+        super().__init__(out_keys=list(FinalShares._fields))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         zero = torch.zeros((*tensordict_reset.batch_size, 1), device=tensordict_reset.device)
-        return tensordict_reset.update({name: zero.clone() for name in Final._fields})
+        return tensordict_reset.update({name: zero.clone() for name in FinalShares._fields})
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         ended = next_tensordict["done"].squeeze(-1)
-        shares = torch.zeros((len(Final._fields), *ended.shape), device=ended.device)
+        shares = torch.zeros((len(FinalShares._fields), *ended.shape), device=ended.device)
         if ended.any():
             shares[:, ended] = torch.stack(_known(next_tensordict, ended))
-        for name, share in zip(Final._fields, shares.unsqueeze(-1), strict=True):
+        for name, share in zip(FinalShares._fields, shares.unsqueeze(-1), strict=True):
             next_tensordict.set(name, share)
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the two entries."""
         shape = (*observation_spec.shape, 1)
-        for name in Final._fields:
+        for name in FinalShares._fields:
             observation_spec[name] = Unbounded(shape, device=observation_spec.device)
         return observation_spec
 
 
-def _known(step: TensorDictBase, ended: Tensor) -> Final:
+def _known(step: TensorDictBase, ended: Tensor) -> FinalShares:
     """Of the arenas whose episode ended."""
     agents = step["agents"]
     known = known_mask(agents["map"][ended])
@@ -71,7 +71,7 @@ def _known(step: TensorDictBase, ended: Tensor) -> Final:
     alive = agents["alive"][ended]
     covered = largest_of_living(known_targets(known, target), alive) / target.flatten(-2).sum(-1)
     ratio = largest_of_living(known_cells(known), alive) / target[0].numel()
-    return Final(covered, ratio)
+    return FinalShares(covered, ratio)
 
 
 def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
@@ -92,5 +92,5 @@ def rollout_metrics(batch: TensorDictBase) -> dict[str, float]:
             "episode_return": float(following["episode_reward"][ended].mean()),
             "episode_steps": float(following["step_count"][ended].float().mean()),
         }
-        metrics |= {name: float(following[name][ended].mean()) for name in Final._fields}
+        metrics |= {name: float(following[name][ended].mean()) for name in FinalShares._fields}
     return metrics

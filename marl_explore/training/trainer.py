@@ -76,12 +76,12 @@ class Trainer:
             steps=config.rollout_steps,
             run=run,
             seed=config.seed,
-            keep=self._read,
+            keep=self._rollout_keys,
         )
         return RestartingCollector(make, self.policy.team, run, config.num_envs)
 
     @property
-    def _read(self) -> list[NestedKey]:
+    def _rollout_keys(self) -> list[NestedKey]:
         """Entries of a rollout that metrics and learners read."""
         read = [key for learner in self.learners.values() for key in learner.loss.rollout_keys]
         return list(dict.fromkeys([*METRIC_KEYS, *read]))

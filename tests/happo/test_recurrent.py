@@ -209,13 +209,15 @@ def test_a_recurrent_actor_acts_for_one_agent(kind):
 
 
 @KINDS
-def test_values_of_a_critic_with_a_memory_depend_on_the_steps_before(kind):
+def test_values_of_a_recurrent_critic_cannot_be_reused(kind):
     value = TensorDictModule(nn.Linear(HIDDEN, 1), [(GROUP, "memory")], ["state_value"])
     critic = TensorDictSequential(memory(kind), value)
     loss = HAPPOLoss({"team": recurrent_actor(kind)}, critic)
     loss.make_value_estimator(gamma=0.9)
-    with pytest.raises(ValueError, match="each_once=True is not allowed: the critic is recurrent"):
-        loss.make_value_estimator(gamma=0.9, each_once=True)
+    with pytest.raises(
+        ValueError, match="reuse_values=True is not allowed: the critic is recurrent"
+    ):
+        loss.make_value_estimator(gamma=0.9, reuse_values=True)
 
 
 @KINDS

@@ -112,7 +112,7 @@ def test_observations_that_two_steps_share_are_evaluated_once(norm_class):
     loss.estimate_advantage(twice)
     if norm is not None:
         norm.load_state_dict(state)
-    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, each_once=True)
+    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, reuse_values=True)
     rows = counted(critic)
     assert loss.estimate_advantage(batch) is batch
     assert rows == [16, 6]  # four episodes end, and both rows do
@@ -134,7 +134,7 @@ def test_rollouts_of_any_shape_are_evaluated_once(shape):
     for name in ("done", "terminated"):
         batch["next"].set(name, torch.zeros(*shape, 1, dtype=torch.bool))
     loss = loss_of_critic(critic)
-    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, each_once=True, average_gae=False)
+    loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, reuse_values=True, average_gae=False)
     rows = counted(critic)
     loss.estimate_advantage(batch)
     assert rows == [batch.numel(), batch.numel() // shape[-1]]
@@ -143,14 +143,65 @@ def test_rollouts_of_any_shape_are_evaluated_once(shape):
     assert_close(batch["next", "state_value"], next_value)
 
 
+@pytest.mark.parametrize("entry", ["state", "seen", "count"])
+def test_a_next_observation_that_differs_at_all_is_evaluated(entry):
+    """In one number of one entry, and although the episode goes on."""
+    shape, keys = (2, 5), [("agents", "state"), ("agents", "seen"), ("agents", "count")]
+    weights = torch.randn(FEATURES + 6)
+
+    def value(state: Tensor, seen: Tensor, count: Tensor) -> Tensor:
+        columns = torch.cat([state, seen.flatten(-2), count], -1).to(weights)
+        return (columns @ weights).unsqueeze(-1)
+
+    def observed() -> TensorDict:
+        return TensorDict(
+            {
+                "state": torch.randn(*shape, FEATURES),
+                "seen": torch.rand(*shape, 2, 2) < 0.5,
+                "count": torch.randint(9, (*shape, 2)),
+            },
+            shape,
+        )
+
+    batch = TensorDict({"agents": observed(), "next": {"agents": observed()}}, shape)
+    batch["next", "agents"][:, :-1] = batch["agents"][:, 1:]
+    batch["next"].set("reward", torch.randn(*shape, 1))
+    for name in ("done", "terminated"):
+        batch["next"].set(name, torch.zeros(*shape, 1, dtype=torch.bool))
+    changed = batch["next", "agents", entry][1, 2].view(-1)[-1:]
+    changed.copy_(~changed if changed.dtype is torch.bool else changed + 1)
+    plain = batch.clone()
+    critic = TensorDictModule(value, keys, ["state_value"])
+    loss = loss_of_critic(critic)
+    rows = counted(critic)
+    for rollout, reuse in ((plain, False), (batch, True)):
+        loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, reuse_values=reuse)
+        loss.estimate_advantage(rollout)
+    assert rows[-2:] == [10, 3]  # both rows end, and one step goes on elsewhere
+    for key in ("advantage", "state_value", ("next", "state_value")):
+        assert_close(batch[key], plain[key])
+    assert batch["next", "state_value"][1, 2] != batch["state_value"][1, 3]
+
+
+@pytest.mark.parametrize(
+    "option", [{"num_chunks": 2}, {"skip_existing": True}, {"deactivate_vmap": True}], ids=str
+)
+def test_options_of_how_gae_calls_the_critic_do_not_fit_reused_values(option):
+    loss = loss_of_critic(state_critic())
+    loss.make_value_estimator(**option)
+    name = next(iter(option))
+    with pytest.raises(ValueError, match=f"{name} is not allowed with reuse_values=True"):
+        loss.make_value_estimator(reuse_values=True, **option)
+
+
 def test_an_observation_stands_for_a_next_one_that_is_absent():
     """As in TorchRL's GAE: a collector of compact observations marks it by NaN."""
     critic, batch = state_critic(), episodes()
     batch["next", "state"][batch["next", "done"].squeeze(-1)] = torch.nan
     twice = batch.clone()
     loss = loss_of_critic(critic)
-    for rollout, each_once in ((twice, False), (batch, True)):
-        loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, each_once=each_once)
+    for rollout, reuse_values in ((twice, False), (batch, True)):
+        loss.make_value_estimator(gamma=GAMMA, lmbda=LMBDA, reuse_values=reuse_values)
         loss.estimate_advantage(rollout)
     assert batch["advantage"].isfinite().all()
     assert_close(batch["advantage"], twice["advantage"])

@@ -25,6 +25,7 @@ from marl_explore.training.checkpoint import list_checkpoints, read_checkpoint, 
 from marl_explore.training.collectors import make_collector
 from marl_explore.training.environment import make_training_env
 from marl_explore.training.restarts import RestartingCollector
+from marl_explore.training.rollout_metrics import METRIC_KEYS
 from marl_explore.training.trainer import Trainer
 from marl_explore.training.workers import WorkerDeathError, WorkerError
 from tests.helpers.killing import CONFIG
@@ -40,19 +41,23 @@ class Likeliest(TeamActor):
             return super().forward(tensordict)
 
 
-def rollouts(run, batches=2, policy_class=Likeliest, config=CONFIG):
-    """Some batches of a team that was never trained."""
+def rollouts(run, batches=2, policy_class=Likeliest, config=CONFIG, keep=None):
+    """Some batches of a team that was never trained, which stay as they are."""
     torch.manual_seed(0)
     actors = [MLP(hidden=(16,)).make_actor(config.arena) for _ in range(2)]
     with torch.no_grad():
         for actor in actors:  # far apart, so that roundings choose no action
             actor.layers[-1].weight.mul_(100)
     create_env = partial(make_training_env, config)
-    collector = make_collector(create_env, policy_class(actors), num_envs=4, steps=9, run=run)
-    iterator = iter(collector)
-    collected = [next(iterator).clone() for _ in range(batches)]
+    team = policy_class(actors)
+    collector = make_collector(create_env, team, num_envs=4, steps=9, run=run, keep=keep)
+    collected, copies = [], []
+    for _, batch in zip(range(batches), collector, strict=False):
+        collected.append(batch)
+        copies.append(batch.clone())
+    assert all((one == other).all() for one, other in zip(collected, copies, strict=True))
     collector.shutdown()
-    return torch.cat(collected, 1)
+    return torch.cat(copies, 1)
 
 
 @pytest.fixture(scope="module")
@@ -288,6 +293,21 @@ def test_ray_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setattr(clusters, "find_spec", lambda package: None)
     with pytest.raises(ValueError, match="collector='ray' needs the package ray: pip install ray"):
         Trainer(CONFIG, RunConfig(collector="ray"))
+
+
+@pytest.mark.parametrize("run", [RunConfig(), TWO], ids=["process", "multisync"])
+def test_entries_that_are_left_out_change_nothing(here, run):
+    kept = rollouts(run, keep=METRIC_KEYS)
+    assert set(kept.exclude("collector").keys(True, True)) == set(METRIC_KEYS)
+    for key in METRIC_KEYS:
+        assert torch.equal(kept[key], here[key]), key
+
+
+def test_asynchronous_workers_send_what_is_kept():
+    run = RunConfig(collector="multiasync", workers=2)
+    kept = rollouts(run, batches=6, keep=METRIC_KEYS)
+    assert set(kept.exclude("collector").keys(True, True)) == set(METRIC_KEYS)
+    assert kept["next", "step_count"].min() == 1
 
 
 class Doomed:

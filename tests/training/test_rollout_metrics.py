@@ -14,12 +14,11 @@ from marl_explore.core.mapping import target_cells
 from marl_explore.training.collectors import make_collector
 from marl_explore.training.environment import make_training_env
 from marl_explore.training.presets import PRESETS
-from marl_explore.training.rollout_metrics import METRIC_KEYS, rollout_metrics
+from marl_explore.training.rollout_metrics import METRIC_KEYS, FinalShares, rollout_metrics
 from marl_explore.training.trainer import Trainer
 
 PAPER = ArenaConfig(height=6, width=7, num_agents=3)
 FAULTY = replace(PAPER, failure_rate=0.1, num_walkers=1)
-KEPT = ("final_coverage", "final_known_ratio")
 
 
 def collected(arena, keep=None, steps=30):
@@ -58,11 +57,11 @@ def test_how_episodes_ended(arena):
     assert len(expected) > 10
     if arena is FAULTY:
         assert any(not step["agents", "alive"].all() for step in batch["next"][ended])
-    for number, name in enumerate(KEPT):
+    for number, name in enumerate(FinalShares._fields):
         each = [end[number] for end in expected]
         assert batch["next", name][ended].flatten().tolist() == pytest.approx(each)
         assert not batch["next", name][~ended].any()
-        assert not batch[name][:, 0].any()
+        assert not batch[name].any()  # of the step before: 0 after each reset, too
         assert rollout_metrics(batch)[name] == pytest.approx(fmean(each))
 
 
@@ -79,5 +78,6 @@ def test_a_batch_is_what_is_read(preset):
     reads_maps = config.critic_input == "state"
     assert (("agents", "map") in entries) == (("next", "obstacles") in entries) == reads_maps
     assert not any("memory" in key or "linked" in key for key in entries)
-    assert set(METRIC_KEYS) <= entries
+    read = [key for one in trainer.learners.values() for key in one.loss.rollout_keys]
+    assert entries == {*METRIC_KEYS, *read}
     assert trainer.update(batch)
