@@ -4,11 +4,13 @@ python recipes/mixed_teams.py --algorithms happo mappo ippo --seeds 0-4
 python recipes/mixed_teams.py --algorithms happo simultaneous fixed --seeds 0-2
 python recipes/mixed_teams.py --team three-types --algorithms happo mappo --seeds 0-2
 
-All have the same steps of arenas, networks and settings of the preset ``best``, and start from its
-untrained utility. MAPPO's actor reads the sensor of the robot that it acts for. "simultaneous" and
-"fixed" are HAPPO without its factor, and in one order of actors. A run that is there already is not
-trained again, and one that was stopped is resumed; so several processes can share the work, each
-with algorithms or seeds of its own. At the end all are measured on test arenas.
+All learn from as many steps in the same arenas of 16 x 16 cells (in larger ones nothing is learned
+from so few), with the networks and settings of the preset ``best`` but a gamma of 0.95, and start
+from its untrained utility. MAPPO's actor reads the sensor of the robot that it acts for.
+"simultaneous" and "fixed" are HAPPO without its factor, and in one order of actors. A run that is
+there already is not trained again, and one that was stopped is resumed; so several processes can
+share the work, each with algorithms or seeds of its own. At the end all are measured on test arenas
+of that size and of 32 x 32 cells.
 """
 
 from __future__ import annotations
@@ -49,9 +51,11 @@ from marl_explore.utils.curves import read_curve
 
 Array = NDArray[np.float64]
 
+SMALL, LARGE = 16, 32
+"""Sides of the arenas of training, and of the larger ones of the test (cells)."""
 UNLIKE = ArenaConfig(
-    height=24,
-    width=24,
+    height=LARGE,
+    width=LARGE,
     sensing_shape="disc",
     line_of_sight=True,
     wall_loss_db=math.inf,
@@ -78,8 +82,8 @@ TEAMS: Mapping[str, tuple[str, ArenaConfig]] = {
         ),
     ),
 }
-"""Kind of arenas and robots: two scouts and two slow mappers that see far; three scouts and a
-mapper; and two each of three types."""
+"""Large arenas, and robots: two scouts and two slow mappers that see far; three scouts and a mapper;
+and two each of three types."""
 ALGORITHMS: Mapping[str, Mapping[str, Any]] = {
     "happo": {"algorithm": "happo", "actors": "type"},
     "mappo": {"algorithm": "mappo"},
@@ -89,7 +93,6 @@ ALGORITHMS: Mapping[str, Mapping[str, Any]] = {
 }
 BASELINE = "mappo"
 """Algorithm to which the others are compared."""
-RUN = RunConfig(validate_every=50, validation_arenas=32)
 PLANNER = "goal-utility"
 CURVE = "validation_steps_to_100"
 FACTOR: Sequence[tuple[str, Callable[[Array], float]]] = (
@@ -112,37 +115,47 @@ class Settings:
     """What to train and compare."""
     seeds: str = "0-4"
     """Training seeds: 0-4 or 0,3."""
-    episodes: int = 1334
-    """Length of every training, in episodes of 300 steps."""
+    episodes: int = 1067
+    """Length of every training, in episodes of 150 steps."""
     num_envs: int = 64
     """Arenas that are stepped side by side."""
+    validation_arenas: int = 256
+    """Validation arenas, every 25 updates."""
     num_arenas: int = 120
-    """Test arenas, the same for all policies."""
+    """Test arenas of each size, the same for all policies."""
     out: Path = Path("mixed-teams")
-    """Folder of the runs, of table.md, curves.png and results.json."""
+    """Folder of the runs, of tables.md, curves.png and results.json."""
 
     def __post_init__(self) -> None:
         """Check the options."""
-        for name in ("episodes", "num_envs", "num_arenas"):
+        for name in ("episodes", "num_envs", "validation_arenas", "num_arenas"):
             require_integer(name, getattr(self, name), 1)
         parse_seeds(self.seeds)
 
+    @property
+    def places(self) -> dict[str, tuple[str, ArenaConfig]]:
+        """Arenas and robots of training, and of the larger test, by name."""
+        kind, robots = TEAMS[self.team]
+        small = replace(robots, height=SMALL, width=SMALL)
+        return {f"{SMALL} x {SMALL}": ("mixed", small), f"{LARGE} x {LARGE}": (kind, robots)}
+
     def config(self, algorithm: str, seed: int) -> TrainConfig:
         """The training of one algorithm with one seed."""
-        arenas, robots = TEAMS[self.team]
+        arenas, robots = next(iter(self.places.values()))
         network = Goals(
             prior=5.0,
-            home_cells=robots.num_cells,
+            home_cells=LARGE * LARGE,
             reads_sensor=algorithm == "mappo",
         )
         return replace(
             PRESETS["best"],
             arenas=arenas,
             arena=robots,
+            gamma=0.95,
             scenes=(),
             network=network,
             episodes=self.episodes,
-            episode_steps=300,
+            episode_steps=150,
             num_envs=self.num_envs,
             rollout_steps=25,
             seed=seed,
@@ -159,7 +172,7 @@ def main(settings: Settings) -> None:
     seeds = parse_seeds(settings.seeds)
     for seed in seeds:
         for algorithm in settings.algorithms:
-            _train(settings.config(algorithm, seed), settings.folder(algorithm, seed))
+            _train(settings, algorithm, seed)
     runs: dict[str, list[Path]] = {
         name: [settings.folder(name, seed) for seed in seeds] for name in settings.algorithms
     }
@@ -167,36 +180,41 @@ def main(settings: Settings) -> None:
         name: measured(settings, folders) for name, folders in runs.items()
     }
     planner = _steps(settings, PLANNER)
-    table = tabulate(results, planner)
-    place = settings.out / settings.team
-    (place / "table.md").write_text(table + "\n")
+    text = "\n\n".join(
+        f"{place} cells:\n\n{tabulate(results, place, planner[place])}" for place in settings.places
+    )
+    folder = settings.out / settings.team
+    (folder / "tables.md").write_text(text + "\n")
     shown = {CURVE: "steps to a complete map (validation)", "factor_ess": "ESS of the factor"}
-    plots.training_figure(runs, place / "curves.png", shown)
+    plots.training_figure(runs, folder / "curves.png", shown)
     content = {
         "team": settings.team,
         "seeds": seeds,
         "results": results,
-        PLANNER: planner.tolist(),
+        PLANNER: planner,
     }
-    records.write_json(place / "results.json", records.provenance() | content)
-    print(f"{table}\n\nruns, table, curves and results: {place}")
+    records.write_json(folder / "results.json", records.provenance() | content)
+    print(f"{text}\n\nruns, tables, curves and results: {folder}")
 
 
-def _train(config: TrainConfig, folder: Path) -> None:
+def _train(settings: Settings, algorithm: str, seed: int) -> None:
+    config, folder = settings.config(algorithm, seed), settings.folder(algorithm, seed)
     if (folder / "policy.safetensors").exists():
         return
     print(f"{folder}: {config.updates} updates", flush=True)
     if (folder / "config.json").exists():
         resume(folder)
     else:
-        train(config, folder, RUN)
+        run = RunConfig(validate_every=25, validation_arenas=settings.validation_arenas)
+        train(config, folder, run)
 
 
 def measured(settings: Settings, folders: Sequence[Path]) -> dict[str, Any]:
-    """Of every seed: steps on all test arenas, the curve of validation, and the factor."""
+    """Of every seed: steps on all test arenas of each size, the curve, and the factor."""
     curves = [read_curve(folder / "scalars" / f"{CURVE}.csv") for folder in folders]
+    each = [_steps(settings, str(folder)) for folder in folders]
     return {
-        "steps_to_100": [_steps(settings, str(folder)).tolist() for folder in folders],
+        "steps_to_100": {place: [one[place] for one in each] for place in settings.places},
         CURVE: [curve.tolist() for curve in curves],
         **{
             name: [extreme(_values(folder, name)) for folder in folders] for name, extreme in FACTOR
@@ -208,24 +226,27 @@ def _values(folder: Path, name: str) -> Array:
     return read_curve(folder / "scalars" / f"{name}.csv")[:, 1]
 
 
-def _steps(settings: Settings, policy: str) -> Array:
-    """Steps to a complete map on every test arena, [A]."""
-    arenas, robots = TEAMS[settings.team]
-    acting = find_policy(policy, robots)
-    number, steps = settings.num_arenas, default_steps(arenas)
-    episodes = record(acting, robots, number, steps, arenas=arenas, until_mapped=True)
-    return metrics.per_episode(episodes)["steps_to_100"].numpy()
+def _steps(settings: Settings, policy: str) -> dict[str, list[float]]:
+    """Steps to a complete map on every test arena, by size."""
+    found = {}
+    for place, (arenas, robots) in settings.places.items():
+        acting = find_policy(policy, robots)
+        number, steps = settings.num_arenas, default_steps(arenas)
+        episodes = record(acting, robots, number, steps, arenas=arenas, until_mapped=True)
+        found[place] = metrics.per_episode(episodes)["steps_to_100"].tolist()
+    return found
 
 
-def tabulate(results: Mapping[str, Mapping[str, Any]], planner: Array) -> str:
+def tabulate(results: Mapping[str, Mapping[str, Any]], place: str, planner: Sequence[float]) -> str:
     """Mean steps with 95 % intervals over seeds and arenas, differences in pairs, and the factor.
 
     Args:
         results: ``measured`` by algorithm.
-        planner: steps of the untrained planner, [A].
+        place: size of the test arenas.
+        planner: steps of the planner on them.
     """
-    rivals = {PLANNER: planner[None]}
-    rivals |= {name: np.array(found["steps_to_100"]) for name, found in results.items()}
+    rivals = {PLANNER: np.array([planner])}
+    rivals |= {name: np.array(found["steps_to_100"][place]) for name, found in results.items()}
     header = ["", "steps to 100 %", f"to {BASELINE}", f"to {PLANNER}", "ESS of the factor"]
     rows = []
     for name, steps in rivals.items():

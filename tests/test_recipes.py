@@ -466,17 +466,19 @@ def test_all_planners_with_settings_can_be_compared():
 
 def test_algorithms_are_compared_on_a_team_of_unlike_robots(tmp_path):
     words = (
-        "--team one-mapper --algorithms happo mappo --seeds 1 --episodes 1 --num-envs 12 "
-        "--num-arenas 6 --out unlike"
+        "--team one-mapper --algorithms happo mappo --seeds 1 --episodes 2 --num-envs 12 "
+        "--validation-arenas 6 --num-arenas 6 --out unlike"
     ).split()
     done = recipe("mixed_teams.py", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     place = tmp_path / "unlike" / "one-mapper"
-    assert (place / "table.md").read_text().strip() in done.stdout
+    assert (place / "tables.md").read_text().strip() in done.stdout
     content = json.loads((place / "results.json").read_text())
     assert [*content["results"]] == ["happo", "mappo"]
     for found in content["results"].values():
-        assert [len(steps) for steps in found["steps_to_100"]] == [6]
+        assert [*found["steps_to_100"]] == ["16 x 16", "32 x 32"]
+        for steps in found["steps_to_100"].values():
+            assert [len(each) for each in steps] == [6]
     assert content["results"]["happo"]["factor_max"][0] > 1
     assert content["results"]["mappo"]["factor_max"] == [1]
     happo, mappo = (load_policy(place / name / "seed-1").config for name in ("happo", "mappo"))
