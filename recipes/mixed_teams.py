@@ -4,7 +4,7 @@ python recipes/mixed_teams.py --algorithms happo mappo ippo --seeds 0-4
 python recipes/mixed_teams.py --algorithms happo simultaneous fixed --seeds 0-2
 python recipes/mixed_teams.py --team three-types --algorithms happo mappo --seeds 0-2
 
-All learn from as many steps in the same arenas of 16 x 16 cells (in larger ones nothing is learned
+All learn from as many steps in the same arenas of 16 x 16 cells (in larger ones nothing was learned
 from so few), with the networks and settings of the preset ``best`` but a gamma of 0.95, and start
 from its untrained utility. MAPPO's actor reads the sensor of the robot that it acts for.
 "simultaneous" and "fixed" are HAPPO without its factor, and in one order of actors. A run that is
@@ -82,8 +82,8 @@ TEAMS: Mapping[str, tuple[str, ArenaConfig]] = {
         ),
     ),
 }
-"""Large arenas, and robots: two scouts and two slow mappers that see far; three scouts and a mapper;
-and two each of three types."""
+"""Large arenas, and robots: two scouts and two slow mappers that see far; three scouts and one
+mapper; two each of three types."""
 ALGORITHMS: Mapping[str, Mapping[str, Any]] = {
     "happo": {"algorithm": "happo", "actors": "type"},
     "mappo": {"algorithm": "mappo"},
