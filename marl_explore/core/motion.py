@@ -44,6 +44,21 @@ def in_turn(
     return turn if alive is None else alive & turn
 
 
+def unanswered(refused: Tensor, period: int | tuple[int, ...], step_count: Tensor) -> Tensor:
+    """Refusals that count in the next step too, as it is not the robot's turn, bool [*B, N].
+
+    Two robots whose turn is the same would else block each other forever: each forgets in between
+    that it has to give way.
+
+    Args:
+        refused: whether the last move was refused, bool [*B, N].
+        period: as for ``in_turn``.
+        step_count: int64 [*B, 1].
+    """
+    turn = in_turn(period, None, step_count)
+    return torch.zeros_like(refused) if turn is None else refused & ~turn
+
+
 def action_mask(open_moves: Tensor, linked: Tensor, may_move: Tensor | None = None) -> Tensor:
     """Allowed actions: open moves, staying, and communicating if linked to another robot.
 

@@ -156,7 +156,8 @@ class GoalUtility(Planner):
         weights = GoalWeights() if weights is None else weights
         self.sight = sight
         self.weights = weight_tensor(weights) if isinstance(weights, GoalWeights) else weights
-        self._memory = RememberTeam(sight=sight)
+        period = 1 if config is None else config.move_period
+        self._memory = RememberTeam(sight=sight, move_period=period)
 
     def plan(self, tensordict: TensorDictBase) -> Tensor:
         """First moves to the goals, or COMMUNICATE, int64 [*B, N]."""

@@ -22,7 +22,7 @@ from marl_explore.core.grid import (
     other_robots,
 )
 from marl_explore.core.links import linked_others
-from marl_explore.core.motion import in_turn
+from marl_explore.core.motion import unanswered
 from marl_explore.core.sensing import cells_seen_from
 from marl_explore.core.sight import line_of_sight, shapes
 from marl_explore.transforms import FrontierReachability
@@ -190,9 +190,7 @@ class Turns:
         refused = tensordict.get(("agents", "dangerous"))
         if self._kept.shape == refused.shape and self._kept.device == refused.device:
             refused = refused | (self._kept & ~begun(tensordict))
-        turn = in_turn(self.period, None, tensordict.get("step_count"))
-        assert turn is not None
-        self._kept = refused & ~turn
+        self._kept = unanswered(refused, self.period, tensordict.get("step_count"))
         return refused
 
 

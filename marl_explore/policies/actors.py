@@ -26,10 +26,9 @@ from marl_explore.policies.networks.inputs import by_robot, observation_keys, ro
 from marl_explore.policies.stacking import UnknownLayerError, stack_modules
 from marl_explore.transforms.features import FEATURES
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import GOAL
+from marl_explore.transforms.memory import GOAL, REFUSED
 
 ACTION_MASK: NestedKey = ("agents", "action_mask")
-REFUSED: NestedKey = ("agents", "dangerous")
 ACTION: NestedKey = ("agents", "action")
 LOG_PROB: NestedKey = ("agents", "action_log_prob")
 CHOICE: NestedKey = ("agents", "choice")

@@ -13,10 +13,11 @@ from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
 from marl_explore.planners.goal_moves import follow, keep_goal
-from marl_explore.policies.actors import ACTION, ACTION_MASK, CHOICE, REFUSED
+from marl_explore.planners.hindrances import Turns
+from marl_explore.policies.actors import ACTION, ACTION_MASK, CHOICE
 from marl_explore.policies.policy import Policy
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import GOAL
+from marl_explore.transforms.memory import DANGEROUS, GOAL, REFUSED
 
 MAP: NestedKey = ("agents", "map")
 STEP: NestedKey = "step_count"
@@ -38,26 +39,34 @@ class ArgmaxPolicy(TensorDictModuleBase):
         policy: the team.
         patience: steps without map growth before that; None: 12, or 40 if it chooses among goals,
             since ways to goals are longer.
+        move_period: of the robots; None: of those that the policy was trained for.
     """
 
     out_keys: list[NestedKey] = [ACTION]  # noqa: RUF012
 
-    def __init__(self, policy: Policy, patience: int | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        patience: int | None = None,
+        move_period: int | tuple[int, ...] | None = None,
+    ) -> None:
         super().__init__()
         if patience is None:
             patience = goals.PATIENCE if policy.team.to_goals else PATIENCE
         self.policy, self.patience = policy, patience
-        self.in_keys: list[NestedKey] = [*dict.fromkeys((*policy.in_keys, REFUSED, MAP, STEP))]
+        self.in_keys: list[NestedKey] = [*dict.fromkeys((*policy.in_keys, DANGEROUS, MAP, STEP))]
         self.sees = policy.sees
+        self._turns = Turns(policy.config.arena.move_period if move_period is None else move_period)
         self._known = self._since = torch.zeros(0, dtype=torch.int64)
 
     def in_world(self, arena: ArenaConfig) -> ArgmaxPolicy:
         """As ``Policy.in_world``."""
-        return ArgmaxPolicy(self.policy.in_world(arena), self.patience)
+        return ArgmaxPolicy(self.policy.in_world(arena), self.patience, arena.move_period)
 
     def only(self, arenas: Tensor) -> None:
         """Forget all but some arenas of the batch [B], int64 [b]: the next one has only those."""
         self._known, self._since = self._known[arenas], self._since[arenas]
+        self._turns.only(arenas)
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -70,7 +79,7 @@ class ArgmaxPolicy(TensorDictModuleBase):
         if stalled.any():
             drawn = self._choose(observed, ExplorationType.RANDOM)
             wanted = torch.where(stalled, drawn, wanted)
-        action = give_way(wanted, tensordict.get(ACTION_MASK), tensordict.get(REFUSED))
+        action = give_way(wanted, tensordict.get(ACTION_MASK), self._turns.refused(tensordict))
         return tensordict.set(ACTION, action)
 
     def _choose(self, observed: TensorDictBase, how: ExplorationType) -> Tensor:
@@ -88,7 +97,7 @@ class ArgmaxPolicy(TensorDictModuleBase):
             choice = keep_goal(found, acted.get(CHOICE), stalled)
             changed = choice != acted.get(CHOICE)
             move = follow(acted.set(GOAL, last), found, choice)
-            yields = give_way(move, tensordict.get(ACTION_MASK), tensordict.get(REFUSED))
+            yields = give_way(move, tensordict.get(ACTION_MASK), observed.get(REFUSED))
             acted.set(ACTION, torch.where(changed, yields, acted.get(ACTION)))
         return self.policy.write(tensordict, acted)
 

@@ -34,8 +34,9 @@ def robot_observations(tensordict: TensorDictBase) -> Callable[[int, int], Obser
     team = tensordict.get("agents").cpu()
     cells = [[tuple(cell) for cell in row] for row in team.get("position").tolist()]
     steps = tensordict.get("step_count").flatten().tolist()
-    own = ("action_mask", "map", "unshared", "steps_since_merge", "linked", "dangerous")
+    own = ("action_mask", "map", "unshared", "steps_since_merge", "linked")
     entries = {name: team.get(name).numpy() for name in own}
+    entries["refused"] = team.get(("memory", "refused"), team.get("dangerous")).numpy()
     entries["fov"] = team.get(("observation", "fov")).numpy()
     batch, robots = len(cells), len(cells[0])
     for name, shape in {"fpr": (NUM_DIRECTIONS, NUM_FEATURES), "net": (robots,)}.items():
@@ -45,7 +46,7 @@ def robot_observations(tensordict: TensorDictBase) -> Callable[[int, int], Obser
 
     def observation(arena: int, robot: int) -> Observation:
         seen = {name: entry[arena, robot] for name, entry in entries.items()}
-        linked, refused = seen.pop("linked").nonzero()[0].tolist(), seen.pop("dangerous")
+        linked, refused = seen.pop("linked").nonzero()[0].tolist(), seen.pop("refused")
         return Observation(
             position=cells[arena][robot],
             step=steps[arena],

@@ -40,8 +40,9 @@ class Feature(NamedTuple):
 
 
 def _candidates(options: FeatureOptions) -> Transform:
-    sight = options.arena.sight
-    return Compose(RememberTeam(sight=sight), GoalCandidates(options.backend, sight))
+    sight, period = options.arena.sight, options.arena.move_period
+    memory = RememberTeam(sight=sight, move_period=period)
+    return Compose(memory, GoalCandidates(options.backend, sight))
 
 
 FEATURES: dict[str, Feature] = {

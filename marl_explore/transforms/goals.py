@@ -28,7 +28,7 @@ from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import Backend
 from marl_explore.core.native import goals as kernel
 from marl_explore.core.native.choice import in_use
-from marl_explore.transforms.memory import ALL_COVERED, MEMORY, from_tensordict
+from marl_explore.transforms.memory import ALL_COVERED, MEMORY, REFUSED, from_tensordict
 
 READ: list[NestedKey] = [
     "step_count",
@@ -41,7 +41,6 @@ READ: list[NestedKey] = [
             "unshared",
             "steps_since_merge",
             "action_mask",
-            "dangerous",
         )
     ),
     ("agents", "observation", "fov"),
@@ -89,7 +88,7 @@ def find_candidates(
         table.frontiers,
         table.rivals,
         _mates(agents, now, memory, table),
-        _context(agents, now, table, sight),
+        _context(tensordict, table, sight),
     )
 
 
@@ -113,18 +112,19 @@ def _mates(agents: TensorDictBase, now: Tensor, memory: TeamMemory, table: GoalT
     return torch.stack([column.int() for column in columns], -1)
 
 
-def _context(agents: TensorDictBase, now: Tensor, table: GoalTable, sight: Sight) -> Tensor:
+def _context(tensordict: TensorDictBase, table: GoalTable, sight: Sight) -> Tensor:
     """``Candidates.context``."""
+    agents = tensordict.get("agents")
     grid = agents.get("map")
     *_, robots, height, width = grid.shape
-    refused, known = agents.get("dangerous"), (grid >= 0).flatten(-2).sum(-1)
+    known = (grid >= 0).flatten(-2).sum(-1)
     columns = (
-        now.expand_as(known),
+        tensordict.get("step_count").expand_as(known),
         known,
         torch.full_like(known, height * width),
         torch.full_like(known, robots),
         table.all_covered,
-        refused,
+        tensordict.get(REFUSED),
         agents.get("action_mask")[..., COMMUNICATE],
         *(entry.expand_as(known) for entry in _sensors(sight, grid.device)),
     )

@@ -17,12 +17,15 @@ from marl_explore.core.memory import (
     remember,
     where_begun,
 )
+from marl_explore.core.motion import unanswered
 
 MEMORY: NestedKey = ("agents", "memory")
 GOAL: NestedKey = ("agents", "memory", "goal")
 """The only entry of the memory that a policy writes: the cell that each robot goes to."""
 ALL_COVERED: NestedKey = ("agents", "memory", "all_covered")
 """Whether the robot could reach frontiers, all of them covered (``GoalCandidates`` writes it)."""
+REFUSED: NestedKey = ("agents", "memory", "refused")
+"""Whether the last move that the robot tried in its turn was refused."""
 OBSERVED: list[NestedKey] = [
     "step_count",
     ("agents", "map"),
@@ -30,6 +33,7 @@ OBSERVED: list[NestedKey] = [
     ("agents", "linked"),
     ("agents", "steps_since_merge"),
 ]
+DANGEROUS: NestedKey = ("agents", "dangerous")
 
 
 def observation_of(tensordict: TensorDictBase) -> Observation:
@@ -37,9 +41,10 @@ def observation_of(tensordict: TensorDictBase) -> Observation:
     return Observation(*(tensordict.get(key) for key in OBSERVED))
 
 
-def to_tensordict(memory: TeamMemory, all_covered: Tensor) -> TensorDict:
+def to_tensordict(memory: TeamMemory, all_covered: Tensor, refused: Tensor) -> TensorDict:
     """The memory as the group of entries ``MEMORY``, batch [*B, N]."""
-    entries = {**memory.seen._asdict(), **memory._asdict(), "all_covered": all_covered}
+    entries = {**memory.seen._asdict(), **memory._asdict()}
+    entries |= {"all_covered": all_covered, "refused": refused}
     del entries["seen"]
     return TensorDict(entries, batch_size=memory.heading.shape)
 
@@ -66,11 +71,18 @@ class RememberTeam(Transform):
     Args:
         radius: of the square that a robot sees (cells).
         sight: of the robots, instead of that square (``ArenaConfig.sight``).
+        move_period: as in ``ArenaConfig``.
     """
 
-    def __init__(self, radius: int = 1, sight: Sight | None = None) -> None:
-        super().__init__(in_keys=list(OBSERVED), out_keys=[MEMORY])
+    def __init__(
+        self,
+        radius: int = 1,
+        sight: Sight | None = None,
+        move_period: int | tuple[int, ...] = 1,
+    ) -> None:
+        super().__init__(in_keys=[*OBSERVED, DANGEROUS], out_keys=[MEMORY])
         self.sight = Sight.square(radius) if sight is None else sight
+        self.move_period = move_period
         self._kept: TensorDictBase | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -103,20 +115,26 @@ class RememberTeam(Transform):
             started = where_begun(
                 _begun(tensordict_reset), from_tensordict(memory), from_tensordict(given)
             )
-            memory = to_tensordict(started, given.get("all_covered"))
+            memory = to_tensordict(started, given.get("all_covered"), given.get("refused"))
         return tensordict_reset.set(MEMORY, memory)
 
     def _remember(self, tensordict: TensorDictBase, before: TensorDictBase | None) -> TensorDict:
         """The memory after the observation in a TensorDict, blank at the start of an episode."""
         observed = observation_of(tensordict)
         memory = blank = blank_memory(observed.grid, observed.position)
-        covered = torch.zeros_like(blank.heading, dtype=torch.bool)
+        refused = tensordict.get(DANGEROUS)
+        covered = torch.zeros_like(refused)
         if before is not None:
             begun = _begun(tensordict)
             memory = where_begun(begun, blank, from_tensordict(before))
-            covered = before.get("all_covered") & ~begun.unsqueeze(-1)
+            goes_on = ~begun.unsqueeze(-1)
+            covered = before.get("all_covered") & goes_on
+            earlier = unanswered(before.get("refused"), self.move_period, observed.now - 1)
+            refused = refused | (earlier & goes_on)
         after = remember(memory, observed, covered, self.sight)
-        return to_tensordict(after, torch.zeros_like(covered))  # until candidates are found
+        return to_tensordict(
+            after, torch.zeros_like(covered), refused
+        )  # until candidates are found
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the memory's entries to the observation spec."""
@@ -161,6 +179,7 @@ def memory_spec(maps: Bounded) -> Composite:
         heading=Bounded(-1, 7, shape=team, dtype=torch.int64, device=device),
         goal=integer(2),
         all_covered=flag(),
+        refused=flag(),
         shape=team,
         device=device,
     )

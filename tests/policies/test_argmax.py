@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
@@ -40,10 +41,10 @@ class Always(nn.Module):
         return logits
 
 
-def two_robots(board, *names):
+def two_robots(board, *names, **world):
     """An environment that starts from a drawn arena, and robots with these wishes."""
     obstacles, positions = arena(board)
-    config = ArenaConfig(*obstacles.shape, num_agents=len(names), obstacle_density=0.0)
+    config = ArenaConfig(*obstacles.shape, num_agents=len(names), obstacle_density=0.0, **world)
     env = ExplorationEnv(config)
     td = TensorDict({"obstacles": obstacles[None], "agents": {"position": positions[None]}}, [1])
     spec = PolicyConfig(config, MLP(hidden=(8,)))
@@ -63,14 +64,15 @@ def test_a_contested_cell_blocks_the_policy_alone_for_ever():
         assert td["agents", "dangerous"].all()
 
 
-def test_after_a_refusal_a_robot_gives_way():
+@pytest.mark.parametrize("period", [1, 2, 3])
+def test_after_a_refusal_a_robot_gives_way(period):
     torch.manual_seed(0)
-    env, td, policy = two_robots(BOARD, "E", "W")
-    careful = ArgmaxPolicy(policy)
+    env, td, policy = two_robots(BOARD, "E", "W", move_period=period)
+    careful = ArgmaxPolicy(policy, patience=1000)
     first = careful(td.clone())["agents", "action"]
     assert first.tolist() == [[ACTIONS.index("E"), ACTIONS.index("W")]]
     places = set()
-    for _ in range(10):
+    for _ in range(10 * period):
         td = env.step(careful(td))["next"]
         places.add(tuple(td["agents", "position"].flatten().tolist()))
     assert len(places) > 3

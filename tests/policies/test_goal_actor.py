@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.testing import assert_close
@@ -25,7 +27,7 @@ from marl_explore.policies.argmax import ArgmaxPolicy
 from marl_explore.policies.io import load_policy, save_policy
 from marl_explore.policies.policy import Policy, PolicyConfig
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import GOAL
+from marl_explore.transforms.memory import GOAL, REFUSED
 from tests.helpers.situations import beyond_robot_0
 
 ROBOTS = 3
@@ -114,11 +116,29 @@ def test_a_choice_is_a_place_and_the_first_move_to_it():
 def test_after_a_refused_move_a_robot_yields():
     env = make_env(ARENA, num_envs=1, features=("fov", *Candidates._fields))
     step = env.reset().expand(200).clone()
-    step["agents", "dangerous"][:, 0] = True
+    step[REFUSED][:, 0] = True
     acted = a_policy(trained=False, prior=100.0).team(step)
     allowed = step["agents", "action_mask"][0, 0, : STAY + 1].nonzero().flatten().tolist()
     assert set(acted["agents", "action"][:, 0].tolist()) == set(allowed)
     assert len(set(acted["agents", "action"][:, 1].tolist())) == 1
+
+
+@pytest.mark.parametrize("likeliest", [False, True])
+@pytest.mark.parametrize(("period", "yields"), [(2, True), (1, False)])
+def test_a_slow_robot_yields_when_it_is_its_turn_again(period, yields, likeliest):
+    """Its move at step 0 was refused, it could not move at step 1, and it yields at step 2."""
+    config = replace(ARENA, move_period=period)
+    policy = a_policy(trained=False, prior=100.0).in_world(config)
+    team = ArgmaxPolicy(policy) if likeliest else policy
+    env = make_env(config, num_envs=1, features=("fov",))
+    step = env.reset().expand(200).clone()
+    for now in range(3):
+        step["step_count"].fill_(now)
+        step["agents", "dangerous"].fill_(now == 1)
+        acted = team(step.clone())["agents", "action"]
+    allowed = step["agents", "action_mask"][0, 0, : STAY + 1].nonzero().flatten().tolist()
+    assert len(allowed) > 2
+    assert (set(acted[:, 0].tolist()) == set(allowed)) == yields
 
 
 def test_an_untrained_actor_acts_as_the_planner():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -20,6 +22,7 @@ from marl_explore.transforms.memory import (
     ALL_COVERED,
     GOAL,
     MEMORY,
+    REFUSED,
     RememberTeam,
     from_tensordict,
     observation_of,
@@ -84,7 +87,9 @@ def test_on_an_environment_memory_is_that_of_each_episode():
             assert not begun.any()
             before, covered = from_tensordict(memory), memory["all_covered"]
         expected = to_tensordict(
-            remember(before, observed, covered, ARENA.sight), step[ALL_COVERED]
+            remember(before, observed, covered, ARENA.sight),
+            step[ALL_COVERED],
+            step["agents", "dangerous"],
         )
         now = step[MEMORY]
         assert same(now.exclude("goal"), expected.exclude("goal"))  # a policy has set the goal
@@ -152,7 +157,9 @@ def test_a_reset_to_the_middle_of_an_episode_without_memory_starts_a_new_one():
     fresh = blank_memory(later["agents", "map"], later["agents", "position"])
     never = torch.zeros_like(fresh.stuck, dtype=torch.bool)
     expected = to_tensordict(
-        remember(fresh, observation_of(later), never, ARENA.sight), observed[ALL_COVERED]
+        remember(fresh, observation_of(later), never, ARENA.sight),
+        observed[ALL_COVERED],
+        later["agents", "dangerous"],
     )
     assert same(observed[MEMORY], expected)
 
@@ -229,6 +236,31 @@ def test_the_module_keeps_what_others_write_into_its_memory():
 
 
 # ---------------------------------------------------------------- the wider world
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_refusal_is_remembered_until_the_robot_may_move(alone):
+    """Over episodes of 9 steps, in an environment with the memory and by the module alone."""
+    torch.manual_seed(0)
+    periods = (1, 2, 3)
+    config = replace(ARENA, move_period=periods)
+    keeper = RememberTeam(sight=config.sight, move_period=periods)
+    env = (
+        ExplorationEnv(config, num_envs=48, max_steps=9)
+        if alone
+        else goal_env(48, config, max_steps=9)
+    )
+    history = env.rollout(40, break_when_any_done=False)
+    kept = np.zeros((48, 3), bool)
+    longer = 0
+    for step in history.unbind(1):
+        known = keeper(step.exclude(MEMORY)) if alone else step
+        now, refused = int(step["step_count"][0]), step["agents", "dangerous"].numpy()
+        expected = refused | (kept & (now > 0))
+        assert known[REFUSED].numpy().tolist() == expected.tolist()
+        longer += int((expected & ~refused).sum())
+        kept = expected & (now % np.array(periods) > 0)
+    assert longer > 20
 
 
 def otherwise(step, robot, config):
