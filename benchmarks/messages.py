@@ -21,6 +21,7 @@ import matplotlib
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
@@ -181,7 +182,10 @@ def table(results: dict[str, dict[str, dict[str, Scores]]]) -> str:
 
 
 def figure(results: dict[str, dict[str, dict[str, Scores]]], path: Path) -> None:
-    """Steps to 100 % against bytes per robot: whole maps (solid) and new cells (dotted)."""
+    """Steps to 100 % against bytes per robot: whole maps (solid) and new cells (dotted).
+
+    Thin lines are those of teams that send no messages.
+    """
     with matplotlib.rc_context(STYLE):
         drawn = Figure(figsize=(4 * len(results) + 2, 3.8), layout="constrained")
         panels = drawn.subplots(1, len(results), squeeze=False)[0]
@@ -197,6 +201,9 @@ def figure(results: dict[str, dict[str, dict[str, Scores]]], path: Path) -> None
                 silent = cases[NEVER].to_100.mean()
                 axes.axhline(silent, color=style["color"], linewidth=0.8, alpha=0.5)
             axes.set(title=task, xlabel="bytes per robot", ylabel="steps to 100 %", xscale="log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axes.xaxis.set_minor_formatter(NullFormatter())
             axes.grid(alpha=0.25)
         legend(drawn, panels[0])
         save(drawn, path)

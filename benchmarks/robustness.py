@@ -40,7 +40,7 @@ BASE = ArenaConfig(
     communication_range=4.0,
 )
 ARENAS, STEPS = "mixed", 300
-ASSUMED = "assumed range of the sensors / true one"
+ASSUMED = "assumed / true sensor range"
 
 
 @dataclass(frozen=True)
@@ -171,18 +171,21 @@ def figure(
     """Steps to 95 % (below) and 100 % (above) against the level of every fault."""
     with matplotlib.rc_context(STYLE):
         drawn = Figure(figsize=(2.4 * len(faults) + 1.5, 5), layout="constrained")
-        axes = drawn.subplots(2, len(faults), sharey="row", squeeze=False)
+        axes = drawn.subplots(2, len(faults), sharey=False, squeeze=False)
         for column, fault in enumerate(faults):
             order = np.argsort(fault.levels)
             ticks = [f"{fault.levels[i]:g}" for i in order]
             for row, measured in enumerate(("to_100", "to_95")):
-                for name, style in line_styles(results):
+                for number, (name, style) in enumerate(line_styles(results)):
+                    beside = 0.08 * (number - (len(results) - 1) / 2)  # bars do not hide others
+                    places = np.arange(len(order)) + beside
                     scores = [getattr(results[name][fault.name][i], measured) for i in order]
                     found = np.array([interval(one, np.mean) for one in scores]).T
                     bars = np.abs(found[1:] - found[0])
-                    axes[row, column].errorbar(ticks, found[0], bars, capsize=2, **style)
+                    axes[row, column].errorbar(places, found[0], bars, capsize=2, **style)
+                axes[row, column].set_xticks(range(len(order)), ticks)
                 axes[row, 0].set_ylabel(f"steps to {measured.removeprefix('to_')} %")
-            axes[0, column].set_title(fault.name)
+            axes[0, column].set_title(fault.name, fontsize="medium")
         legend(drawn, axes[0, 0])
         save(drawn, path)
 
