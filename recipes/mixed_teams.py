@@ -91,8 +91,6 @@ ALGORITHMS: Mapping[str, Mapping[str, Any]] = {
     "simultaneous": {"algorithm": "happo", "actors": "type", "update_order": "simultaneous"},
     "fixed": {"algorithm": "happo", "actors": "type", "update_order": "fixed"},
 }
-BASELINE = "mappo"
-"""Algorithm to which the others are compared."""
 PLANNER = "goal-utility"
 CURVE = "validation_steps_to_100"
 FACTOR: Sequence[tuple[str, Callable[[Array], float]]] = (
@@ -112,7 +110,7 @@ class Settings:
     team: Team = "mixed-team-32"
     """Robots and their arenas."""
     algorithms: tuple[Algorithm, ...] = ("happo", "mappo", "ippo")
-    """What to train and compare."""
+    """What to train, and to compare to the first."""
     seeds: str = "0-4"
     """Training seeds: 0-4 or 0,3."""
     episodes: int = 1067
@@ -241,19 +239,20 @@ def tabulate(results: Mapping[str, Mapping[str, Any]], place: str, planner: Sequ
     """Mean steps with 95 % intervals over seeds and arenas, differences in pairs, and the factor.
 
     Args:
-        results: ``measured`` by algorithm.
+        results: ``measured`` by algorithm; the first is the one to which others are compared.
         place: size of the test arenas.
         planner: steps of the planner on them.
     """
     rivals = {PLANNER: np.array([planner])}
     rivals |= {name: np.array(found["steps_to_100"][place]) for name, found in results.items()}
-    header = ["", "steps to 100 %", f"to {BASELINE}", f"to {PLANNER}", "ESS of the factor"]
+    first = next(iter(results))
+    header = ["", "steps to 100 %", f"to {first}", f"to {PLANNER}", "ESS of the factor"]
     rows = []
     for name, steps in rivals.items():
         mean = stats.interval(steps, lambda x: float(x.mean()))
         against = [
-            _difference(steps, rivals[other]) if other in rivals and other != name else "-"
-            for other in (BASELINE, PLANNER)
+            _difference(steps, rivals[other]) if other != name else "-"
+            for other in (first, PLANNER)
         ]
         least = results[name]["factor_ess"] if name in results else []
         factor = f"{min(least):.3f}" if any(ess < 1 for ess in least) else "-"

@@ -51,7 +51,7 @@ def unanswered(refused: Tensor, period: int | tuple[int, ...], step_count: Tenso
     that it has to give way.
 
     Args:
-        refused: whether the last move was refused, bool [*B, N].
+        refused: whether a move was refused and not answered yet, bool [*B, N].
         period: as for ``in_turn``.
         step_count: int64 [*B, 1].
     """

@@ -36,7 +36,7 @@ def find_policy(name: str, config: ArenaConfig) -> Actor:
         raise ValueError(f"{error}; planners: {sorted(PLANNERS)}") from error
     _require_sensor(policy, config)
     policy = policy.in_world(config)
-    return ArgmaxPolicy(policy) if likeliest else policy
+    return ArgmaxPolicy(policy, move_period=config.move_period) if likeliest else policy
 
 
 def is_outside(name: str) -> bool:

@@ -179,18 +179,21 @@ class Turns:
 
     def __init__(self, period: int | tuple[int, ...]) -> None:
         self.period = period
-        self._kept = torch.zeros(0, dtype=torch.bool)
+        self._refused: Tensor | None = None
+        """In the last step."""
 
     def only(self, arenas: Tensor) -> None:
         """As ``Obstructions.only``."""
-        self._kept = self._kept[arenas]
+        if self._refused is not None:
+            self._refused = self._refused[arenas]
 
     def refused(self, tensordict: TensorDictBase) -> Tensor:
-        """Robots whose last move in turn was refused, bool [*B, N]."""
-        refused = tensordict.get(("agents", "dangerous"))
-        if self._kept.shape == refused.shape and self._kept.device == refused.device:
-            refused = refused | (self._kept & ~begun(tensordict))
-        self._kept = unanswered(refused, self.period, tensordict.get("step_count"))
+        """Robots that have to give way, bool [*B, N]; to be asked once per step."""
+        refused, before = tensordict.get(("agents", "dangerous")), self._refused
+        if before is not None and (before.shape, before.device) == (refused.shape, refused.device):
+            earlier = unanswered(before, self.period, tensordict.get("step_count") - 1)
+            refused = refused | (earlier & ~begun(tensordict))
+        self._refused = refused
         return refused
 
 

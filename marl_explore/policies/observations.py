@@ -29,7 +29,8 @@ def robot_observations(tensordict: TensorDictBase) -> Callable[[int, int], Obser
 
     Args:
         tensordict: with the entries of ``ExplorationEnv``, batch [B]; FPR and NET are 0 where it
-            does not have them.
+            does not have them. Without a memory (``RememberTeam``) ``refused`` is of the last step
+            alone, which robots that move every few steps have to remember until their turn.
     """
     team = tensordict.get("agents").cpu()
     cells = [[tuple(cell) for cell in row] for row in team.get("position").tolist()]

@@ -199,6 +199,12 @@ class Policy(TensorDictModuleBase):
                 f"the policy was trained for num_agents={arena.num_agents}, and the environment "
                 f"has {robots} robots"
             )
+        periods = arena.move_period
+        if self.team.to_goals and isinstance(periods, tuple) and len(periods) != robots:
+            raise ValueError(
+                f"the policy is for robots with move_period={periods}, and the environment has "
+                f"{robots} robots: Policy.in_world is for others"
+            )
         if fov_size != arena.fov_size:
             raise ValueError(
                 f"the policy was trained for fov_radius={arena.fov_radius}, and the environment's "

@@ -25,7 +25,7 @@ GOAL: NestedKey = ("agents", "memory", "goal")
 ALL_COVERED: NestedKey = ("agents", "memory", "all_covered")
 """Whether the robot could reach frontiers, all of them covered (``GoalCandidates`` writes it)."""
 REFUSED: NestedKey = ("agents", "memory", "refused")
-"""Whether the last move that the robot tried in its turn was refused."""
+"""Whether the robot has to give way: a move was refused, and it has not had its turn since."""
 OBSERVED: list[NestedKey] = [
     "step_count",
     ("agents", "map"),
@@ -112,29 +112,31 @@ class RememberTeam(Transform):
     ) -> TensorDictBase:
         memory, given = self._remember(tensordict_reset, None), tensordict.get(MEMORY, None)
         if given is not None:
-            started = where_begun(
-                _begun(tensordict_reset), from_tensordict(memory), from_tensordict(given)
+            begun = _begun(tensordict_reset)
+            started = where_begun(begun, from_tensordict(memory), from_tensordict(given))
+            flags = (
+                torch.where(begun.unsqueeze(-1), memory.get(key), _flag(given, key))
+                for key in ("all_covered", "refused")
             )
-            memory = to_tensordict(started, given.get("all_covered"), given.get("refused"))
+            memory = to_tensordict(started, *flags)
         return tensordict_reset.set(MEMORY, memory)
 
     def _remember(self, tensordict: TensorDictBase, before: TensorDictBase | None) -> TensorDict:
         """The memory after the observation in a TensorDict, blank at the start of an episode."""
         observed = observation_of(tensordict)
         memory = blank = blank_memory(observed.grid, observed.position)
-        refused = tensordict.get(DANGEROUS)
-        covered = torch.zeros_like(refused)
+        covered = torch.zeros_like(blank.heading, dtype=torch.bool)
+        refused = tensordict.get(DANGEROUS, covered)
         if before is not None:
             begun = _begun(tensordict)
             memory = where_begun(begun, blank, from_tensordict(before))
             goes_on = ~begun.unsqueeze(-1)
             covered = before.get("all_covered") & goes_on
-            earlier = unanswered(before.get("refused"), self.move_period, observed.now - 1)
+            earlier = unanswered(_flag(before, "refused"), self.move_period, observed.now - 1)
             refused = refused | (earlier & goes_on)
         after = remember(memory, observed, covered, self.sight)
-        return to_tensordict(
-            after, torch.zeros_like(covered), refused
-        )  # until candidates are found
+        # until candidates are found, none are covered
+        return to_tensordict(after, torch.zeros_like(covered), refused)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the memory's entries to the observation spec."""
@@ -150,6 +152,11 @@ class RememberTeam(Transform):
         spec = spec.clone()
         spec[MEMORY] = memory_spec(observation["agents", "map"])
         return spec
+
+
+def _flag(memory: TensorDictBase, key: str) -> Tensor:
+    """An entry bool [*B, N] of a memory; false in one of before there was such an entry."""
+    return memory.get(key, torch.zeros_like(memory.get("all_covered")))
 
 
 def _begun(tensordict: TensorDictBase) -> Tensor:

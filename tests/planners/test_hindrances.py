@@ -153,6 +153,7 @@ def test_a_refusal_is_kept_until_the_robot_may_move():
     for time in range(8):
         td["step_count"].fill_(time)
         td["agents", "dangerous"] = torch.tensor([[time == 1, time == 1]])
+        turns.only(torch.tensor([0]))
         refused.append(turns.refused(td)[0].tolist())
     first, second = zip(*refused, strict=True)
     assert first == (False, True, True, True, False, False, False, False)

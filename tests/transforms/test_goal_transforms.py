@@ -238,6 +238,31 @@ def test_the_module_keeps_what_others_write_into_its_memory():
 # ---------------------------------------------------------------- the wider world
 
 
+@pytest.mark.parametrize("set_state", [False, True])
+def test_a_refusal_is_forgotten_where_an_episode_begins(set_state):
+    """Of four arenas two are reset, with a memory in which everything was refused and covered."""
+    env = goal_env(4, replace(ARENA, move_period=2))
+    last = env.rollout(5)[:, -1].select(*env.full_state_spec.keys(True, True), "done")
+    last[REFUSED].fill_(True)
+    last[ALL_COVERED].fill_(True)
+    two = torch.tensor([[True], [False], [True], [False]])
+    last["step_count"][two] = 0
+    begun = env.reset(last.set("_reset", two), set_state=set_state)
+    assert begun[REFUSED].any(-1).tolist() == [False, True, False, True]
+    assert not begun[ALL_COVERED][two.squeeze(-1)].any()
+
+
+def test_memories_of_before_there_were_refusals_go_on():
+    keeper = RememberTeam(sight=ARENA.sight, move_period=2)
+    steps = ExplorationEnv(ARENA, num_envs=2).rollout(6).unbind(1)
+    for step in steps[:3]:
+        keeper(step)
+    del keeper._kept["refused"]
+    after = keeper(steps[3].exclude(("agents", "dangerous")))
+    assert not after[REFUSED].any()
+    assert (after[MEMORY]["step"] >= 0).any()
+
+
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_refusal_is_remembered_until_the_robot_may_move(alone):
     """Over episodes of 9 steps, in an environment with the memory and by the module alone."""
