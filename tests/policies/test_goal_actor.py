@@ -141,6 +141,15 @@ def test_a_slow_robot_yields_when_it_is_its_turn_again(period, yields, likeliest
     assert (set(acted[:, 0].tolist()) == set(allowed)) == yields
 
 
+def test_periods_of_another_team_are_refused_until_the_policy_is_told_of_its_world():
+    policy = a_policy(replace(ARENA, move_period=(1, 2, 2)), trained=False)
+    other = replace(ARENA, num_agents=5, move_period=(1, 1, 2, 2, 3))
+    start = ExplorationEnv(other, num_envs=2).reset()
+    with pytest.raises(ValueError, match=r"move_period=\(1, 2, 2\).* 5 robots: Policy.in_world"):
+        policy(start)
+    assert policy.in_world(other)(start)["agents", "action"].shape == (2, 5)
+
+
 def test_an_untrained_actor_acts_as_the_planner():
     """Moves and exchanges, over whole episodes, wherever neither has to yield.
 

@@ -50,9 +50,7 @@ def training_figure(
             axes.xaxis.set_major_locator(MaxNLocator(5))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M
             axes.grid(alpha=0.25)
-        panels[len(panels) // 2].set_title(
-            "How training goes\n(mean over seeds, 95 % interval shaded)"
-        )
+        figure.suptitle("How training goes\n(mean over seeds, 95 % interval shaded)")
         legend(figure, panels[0])
         return save(figure, path)
 
