@@ -44,19 +44,22 @@ def in_turn(
     return turn if alive is None else alive & turn
 
 
-def unanswered(refused: Tensor, period: int | tuple[int, ...], step_count: Tensor) -> Tensor:
-    """Refusals that count in the next step too, as it is not the robot's turn, bool [*B, N].
+def has_to_give_way(
+    refused: Tensor, before: Tensor, period: int | tuple[int, ...], step_count: Tensor
+) -> Tensor:
+    """Robots of which a move was refused and that have not had their turn since, bool [*B, N].
 
     Two robots whose turn is the same would else block each other forever: each forgets in between
     that it has to give way.
 
     Args:
-        refused: whether a move was refused and not answered yet, bool [*B, N].
+        refused: whether the last move was refused, bool [*B, N].
+        before: the result of the step before, bool [*B, N]; where an episode begins it is nothing.
         period: as for ``in_turn``.
-        step_count: int64 [*B, 1].
+        step_count: of this step, int64 [*B, 1].
     """
-    turn = in_turn(period, None, step_count)
-    return torch.zeros_like(refused) if turn is None else refused & ~turn
+    turn = in_turn(period, None, step_count - 1)
+    return refused if turn is None else refused | (before & ~turn & (step_count > 0))
 
 
 def action_mask(open_moves: Tensor, linked: Tensor, may_move: Tensor | None = None) -> Tensor:

@@ -22,7 +22,7 @@ from marl_explore.core.grid import (
     other_robots,
 )
 from marl_explore.core.links import linked_others
-from marl_explore.core.motion import unanswered
+from marl_explore.core.motion import has_to_give_way
 from marl_explore.core.sensing import cells_seen_from
 from marl_explore.core.sight import line_of_sight, shapes
 from marl_explore.transforms import FrontierReachability
@@ -191,8 +191,7 @@ class Turns:
         """Robots that have to give way, bool [*B, N]; to be asked once per step."""
         refused, before = tensordict.get(("agents", "dangerous")), self._refused
         if before is not None and (before.shape, before.device) == (refused.shape, refused.device):
-            earlier = unanswered(before, self.period, tensordict.get("step_count") - 1)
-            refused = refused | (earlier & ~begun(tensordict))
+            refused = has_to_give_way(refused, before, self.period, tensordict.get("step_count"))
         self._refused = refused
         return refused
 

@@ -17,7 +17,7 @@ from marl_explore.core.memory import (
     remember,
     where_begun,
 )
-from marl_explore.core.motion import unanswered
+from marl_explore.core.motion import has_to_give_way
 
 MEMORY: NestedKey = ("agents", "memory")
 GOAL: NestedKey = ("agents", "memory", "goal")
@@ -130,10 +130,9 @@ class RememberTeam(Transform):
         if before is not None:
             begun = _begun(tensordict)
             memory = where_begun(begun, blank, from_tensordict(before))
-            goes_on = ~begun.unsqueeze(-1)
-            covered = before.get("all_covered") & goes_on
-            earlier = unanswered(_flag(before, "refused"), self.move_period, observed.now - 1)
-            refused = refused | (earlier & goes_on)
+            covered = before.get("all_covered") & ~begun.unsqueeze(-1)
+            earlier = _flag(before, "refused")
+            refused = has_to_give_way(refused, earlier, self.move_period, observed.now)
         after = remember(memory, observed, covered, self.sight)
         # until candidates are found, none are covered
         return to_tensordict(after, torch.zeros_like(covered), refused)
