@@ -135,7 +135,8 @@ class Slam(Node):
             self._hear(PoseStamped, f"{top}goal_pose", partial(self._goal, name), 1)
             self._hear(DiagnosticArray, f"{top}explorer/status", partial(self._status, name), 1)
             self._hear(MarkerArray, f"{top}explorer/markers", partial(self._marker, name), LATEST)
-        self.together, self.waits, self._heard = together, waits, {}
+        self.together, self.waits = together, waits
+        self._heard = dict.fromkeys(frames, self.time)
         self.events = []  # (whether it is time, what happens then): between two steps of the world
         self._clock_topic = self.create_publisher(Clock, "/clock", 1)
         steady = SystemClock(clock_type=ClockType.STEADY_TIME)
@@ -165,8 +166,13 @@ class Slam(Node):
         return self.states.get(name, [None])[-1]
 
     def _step(self):
-        if self.time - min(self._heard.values(), default=self.time) > self.waits:
-            return
+        if self.time - min(self._heard.values()) <= self.waits:
+            self._advance()
+        if self.has_clock:  # also of a world that stands still: a node that has just come needs it
+            stamp = convert.fill(Clock().clock, convert.time_fields(self.time))
+            self._clock_topic.publish(Clock(clock=stamp))
+
+    def _advance(self):
         for event in [event for event in self.events if event[0]()]:
             self.events.remove(event)
             event[1]()
@@ -181,9 +187,6 @@ class Slam(Node):
                 self._send_pose(name, rover.place)
             if self._steps % 8 == 4:
                 self._send_map(name, rover.map())
-        if self.has_clock:
-            stamp = convert.fill(Clock().clock, convert.time_fields(self.time))
-            self._clock_topic.publish(Clock(clock=stamp))
 
     def _send_pose(self, name, place):
         fields = convert.place_fields(place, self.time, "map")
