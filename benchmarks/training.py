@@ -42,7 +42,7 @@ def iteration_products(config: TrainConfig) -> list[Product]:
     robots, size = arena.num_agents, arena.observation_size
     actor, critic = (size, 10), (robots * size, 1)
     acting = products(hidden, actor, config.num_envs) * config.rollout_steps * robots
-    values = products(hidden, critic, batch) * 2
+    values = products(hidden, critic, batch + config.num_envs)  # shared by neighbouring steps
     factors = products(hidden, actor, batch) * (robots - 1)
     actors = with_gradients(products(hidden, actor, batch)) * config.ppo_epochs * robots
     critics = with_gradients(products(hidden, critic, batch)) * config.ppo_epochs

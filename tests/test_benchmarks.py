@@ -245,7 +245,8 @@ def test_the_bare_products_are_those_of_an_iteration():
     critic = 148 * 3 + 3 * 2 + 2 * 1
     batch, robots = 4, 4
     acting = robots * batch * actor
-    values, factors = 2 * batch * critic, (robots - 1) * batch * actor
+    values = (batch + 2) * critic  # of all observations, and of the last of each arena
+    factors = (robots - 1) * batch * actor
     actors = robots * batch * (3 * actor - 37 * 3)  # no gradient of the observation
     critics = batch * (3 * critic - 148 * 3)
     expected = acting + values + factors + actors + critics

@@ -13,7 +13,7 @@ from marl_explore.config.constants import NUM_ACTIONS, NUM_DIRECTIONS, NUM_FEATU
 from marl_explore.config.fields import check_types
 from marl_explore.policies.networks.base import Network
 from marl_explore.policies.networks.inputs import PAPER_INPUTS, by_robot, robots_read
-from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize
+from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize, relu
 from marl_explore.policies.networks.state import STATE_WIDTHS, StateCritic
 
 _FPR_SIZE = NUM_DIRECTIONS * NUM_FEATURES
@@ -71,13 +71,13 @@ class CNNEncoder(nn.Module):
         layers: list[nn.Module] = []
         before = 1
         for channel in options.channels:
-            layers += [_Conv2d(before, channel, kernel_size=3, stride=1, padding=1), nn.ReLU()]
+            layers += [_Conv2d(before, channel, kernel_size=3, stride=1, padding=1), relu()]
             before = channel
         fov, fpr, net = options.widths
-        layers += [nn.Flatten(-3), nn.Linear(before * arena.fov_size**2, fov), nn.ReLU()]
+        layers += [nn.Flatten(-3), nn.Linear(before * arena.fov_size**2, fov), relu()]
         self.fov = nn.Sequential(*layers)
-        self.fpr = nn.Sequential(nn.Linear(_FPR_SIZE, fpr), nn.ReLU())
-        self.net = nn.Sequential(nn.Linear(arena.num_agents, net), nn.ReLU())
+        self.fpr = nn.Sequential(nn.Linear(_FPR_SIZE, fpr), relu())
+        self.net = nn.Sequential(nn.Linear(arena.num_agents, net), relu())
         self.size = sum(options.widths)
 
     def forward(self, fov: Tensor, fpr: Tensor, net: Tensor) -> Tensor:
@@ -88,7 +88,7 @@ class CNNEncoder(nn.Module):
 
 def _head(inputs: int, outputs: int, options: CNN) -> nn.Sequential:
     return nn.Sequential(
-        nn.Linear(inputs, options.hidden), nn.ReLU(), nn.Linear(options.hidden, outputs)
+        nn.Linear(inputs, options.hidden), relu(), nn.Linear(options.hidden, outputs)
     )
 
 

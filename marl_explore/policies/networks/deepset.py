@@ -15,7 +15,7 @@ from marl_explore.config.fields import check_types
 from marl_explore.core.grid import COMMUNICATE, NUM_ACTIONS, NUM_DIRECTIONS
 from marl_explore.core.information_gain import TERRITORY_SIZE
 from marl_explore.policies.networks.base import Network
-from marl_explore.policies.networks.layers import ACTOR_GAIN, initialize, mlp
+from marl_explore.policies.networks.layers import ACTOR_GAIN, initialize, mlp, relu
 from marl_explore.policies.networks.state import StateCritic
 from marl_explore.transforms.surroundings import CLOCK_PERIOD, LOCAL_VIEW
 from marl_explore.transforms.team import SHORT_STEPS
@@ -95,14 +95,14 @@ class DeepSetActor(nn.Module):
         self.communicate_every = options.communicate_every
         self.communicate_after = options.communicate_after
         width, context = options.code_width, options.context
-        code = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        code = nn.Sequential(nn.Linear(6, width), relu(), nn.Linear(width, width), relu())
         self.code = initialize(code, math.sqrt(2))
         own = arena.fov_size**2 + NUM_DIRECTIONS * _TABLE_SIZES + 1 + CLOCK_PERIOD
         inputs = own + 3 * (2 * LOCAL_VIEW + 1) ** 2 + 2 * width
         self.layers = mlp(
             inputs, NUM_ACTIONS + context, options.hidden, options.norm_last, ACTOR_GAIN
         )
-        score = nn.Sequential(nn.Linear(_TABLE_SIZES + context, width), nn.ReLU())
+        score = nn.Sequential(nn.Linear(_TABLE_SIZES + context, width), relu())
         self.score = initialize(score.append(nn.Linear(width, 1)), ACTOR_GAIN)
 
     def forward(

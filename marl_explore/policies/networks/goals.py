@@ -25,7 +25,7 @@ from marl_explore.config.goals import (
 from marl_explore.planners.goal_moves import still_choices
 from marl_explore.policies.networks.base import Network
 from marl_explore.policies.networks.goal_features import FeatureScaling, GoalFeatures
-from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize
+from marl_explore.policies.networks.layers import ACTOR_GAIN, CRITIC_GAIN, initialize, relu
 from marl_explore.transforms.goals import Candidates
 
 
@@ -193,7 +193,7 @@ class GoalActor(nn.Module):
         super().__init__()
         self.encoder = GoalEncoder(options)
         width = options.code_width
-        score = nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, 1))
+        score = nn.Sequential(nn.Linear(3 * width, width), relu(), nn.Linear(width, 1))
         self.score = initialize(score, ACTOR_GAIN)
         self.prior = nn.Parameter(torch.tensor(options.prior))
         self.refinement, self.home_cells = options.refinement, options.home_cells
@@ -251,7 +251,7 @@ class GoalCritic(nn.Module):
         self.robot = robot
         self.encoder = GoalEncoder(options)
         inputs = 2 * (2 * options.code_width + options.context_size)
-        layers = nn.Sequential(nn.Linear(inputs, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
+        layers = nn.Sequential(nn.Linear(inputs, 64), relu(), nn.Linear(64, 64), relu())
         self.layers = initialize(layers.append(nn.Linear(64, 1)), CRITIC_GAIN)
 
     def forward(self, *candidates: Tensor) -> Tensor:
@@ -276,5 +276,5 @@ def _layers(*widths: int) -> nn.Sequential:
     """Linear layers, each with a ReLU."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(widths):
-        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
+        layers += [nn.Linear(inputs, outputs), relu()]
     return initialize(nn.Sequential(*layers), math.sqrt(2))

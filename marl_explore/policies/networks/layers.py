@@ -10,6 +10,11 @@ from torch import nn
 ACTOR_GAIN, CRITIC_GAIN = 0.01, 1.0
 
 
+def relu() -> nn.ReLU:
+    """A rectifier that overwrites its input, which the layer before needs for no gradient."""
+    return nn.ReLU(inplace=True)
+
+
 def mlp(
     inputs: int,
     outputs: int,
@@ -28,7 +33,7 @@ def mlp(
     """
     layers: list[nn.Module] = []
     for index, width in enumerate(hidden):
-        layers += [nn.Linear(inputs, width), nn.ReLU()]
+        layers += [nn.Linear(inputs, width), relu()]
         if norm_last or index < len(hidden) - 1:
             layers.append(nn.LayerNorm(width))
         inputs = width
