@@ -7,8 +7,15 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from marl_explore.core.grid import NUM_DIRECTIONS, STAY, action_offsets, flat_cell
-from marl_explore.core.links import any_linked
+from marl_explore.core.grid import (
+    FREE,
+    NUM_DIRECTIONS,
+    OCCUPIED,
+    STAY,
+    action_offsets,
+    flat_cell,
+)
+from marl_explore.core.links import any_linked, linked_others
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.sensing import OPEN, WALL, beside
 
@@ -85,18 +92,45 @@ def random_allowed(mask: Tensor) -> Tensor:
     return choice.view(mask.shape[:-1])
 
 
-def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
+def crowded(grid: Tensor, position: Tensor, linked: Tensor, mask: Tensor) -> Tensor:
+    """Robots beside which something stands that may wait for them, bool [*B, N].
+
+    That is a cell that is closed to the robot although its own map has the way there open, and that
+    holds no robot to which it is linked: those tell each other what they know.
+
+    Args:
+        grid: maps, int8 [*B, N, H, W].
+        position: int64 [*B, N, 2].
+        linked: ``links.links``, bool [*B, N, N].
+        mask: allowed actions, bool [*B, N, 10].
+    """
+    size = torch.tensor(grid.shape[-2:], device=grid.device)
+    cell = position.unsqueeze(-2) + action_offsets(grid.device)[: STAY + 1]
+    inside = ((cell >= 0) & (cell < size)).all(-1)
+    place = flat_cell(cell.clamp_min(0).minimum(size - 1), grid.shape[-1])
+    value = grid.flatten(-2).gather(-1, place).masked_fill(~inside, OCCUPIED)
+    shut = closed_diagonals(value == OCCUPIED)
+    same = (cell.unsqueeze(-2) == position[..., None, None, :, :]).all(-1)
+    held = (same & linked_others(linked).unsqueeze(-2)).any(-1)
+    return ((value == FREE) & ~shut & ~held & ~mask[..., : STAY + 1]).any(-1)
+
+
+def give_way(
+    wanted: Tensor, mask: Tensor, refused: Tensor, crowded: Tensor | None = None
+) -> Tensor:
     """The wanted actions, with blocked moves replaced by a random choice (the yield rule).
 
     A move is blocked if it is not allowed, or if the robot's last move was refused. The choice is
     among the open moves and staying: in a corridor one robot has to wait until the other has left
     the only cell in which they can pass. Without this rule two robots that want to pass each other
-    would block each other forever.
+    would block each other forever. For the same reason a robot does not stay where it is crowded:
+    it may be in the only way of a robot that it cannot hear.
 
     Args:
         wanted: int64 [*B, N].
         mask: allowed actions, bool [*B, N, 10].
         refused: whether the last move was refused, bool [*B, N].
+        crowded: who is ``crowded``, bool [*B, N]; None: nobody.
 
     Returns:
         int64 [*B, N].
@@ -104,6 +138,8 @@ def give_way(wanted: Tensor, mask: Tensor, refused: Tensor) -> Tensor:
     allowed = mask.gather(-1, wanted.unsqueeze(-1)).squeeze(-1)
     moves = mask[..., : STAY + 1]  # staying is always allowed
     blocked = (wanted < NUM_DIRECTIONS) & (refused | ~allowed)
+    if crowded is not None:
+        blocked = blocked | (crowded & (wanted == STAY))
     return torch.where(blocked, random_allowed(moves), wanted)
 
 

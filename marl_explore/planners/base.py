@@ -12,7 +12,7 @@ from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.core.motion import give_way
 from marl_explore.planners.communication import CommunicationRule
-from marl_explore.planners.hindrances import Hindrances
+from marl_explore.planners.hindrances import Hindrances, crowded_in
 
 
 class Planner(TensorDictModuleBase):
@@ -71,7 +71,8 @@ class Planner(TensorDictModuleBase):
         """Write ("agents", "action")."""
         seen = self._hindrances.seen(tensordict)
         refused = self._hindrances.refused(tensordict)
-        action = give_way(self.plan(seen), seen.get(("agents", "action_mask")), refused)
+        mask, beside = seen.get(("agents", "action_mask")), crowded_in(tensordict)
+        action = give_way(self.plan(seen), mask, refused, beside)
         action = action.masked_fill(self.communicate(seen), COMMUNICATE)
         self._hindrances.note(action)
         return tensordict.set(("agents", "action"), action)

@@ -8,7 +8,7 @@ where an episode begins.
 from __future__ import annotations
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
@@ -22,7 +22,7 @@ from marl_explore.core.grid import (
     other_robots,
 )
 from marl_explore.core.links import linked_others
-from marl_explore.core.motion import has_to_give_way
+from marl_explore.core.motion import crowded, has_to_give_way
 from marl_explore.core.sensing import cells_seen_from
 from marl_explore.core.sight import line_of_sight, shapes
 from marl_explore.transforms import FrontierReachability
@@ -32,11 +32,20 @@ KEPT_STEPS = 32
 ATTEMPTS = 3
 """Exchanges in a row that have to fail before a robot explores alone for a while."""
 MOST_DOUBLINGS = 5
+CROWD_KEYS: list[NestedKey] = [
+    ("agents", key) for key in ("map", "position", "linked", "action_mask")
+]
+"""What ``crowded_in`` reads."""
 
 
 def begun(tensordict: TensorDictBase) -> Tensor:
     """Whether each team's episode begins, bool [*B, 1]."""
     return tensordict.get("step_count") == 0
+
+
+def crowded_in(tensordict: TensorDictBase) -> Tensor:
+    """``core.motion.crowded`` of an environment's step, bool [*B, N]."""
+    return crowded(*(tensordict.get(key) for key in CROWD_KEYS))
 
 
 class Obstructions:

@@ -22,6 +22,7 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
 from marl_explore.core.motion import give_way
 from marl_explore.planners.goal_moves import follow
+from marl_explore.planners.hindrances import CROWD_KEYS, crowded_in
 from marl_explore.policies.networks.inputs import by_robot, observation_keys, robots_first
 from marl_explore.policies.stacking import UnknownLayerError, stack_modules
 from marl_explore.transforms.features import FEATURES
@@ -121,7 +122,7 @@ class TeamActor(TensorDictModuleBase):
         self.in_keys: list[NestedKey] = [*self.observation_keys, ACTION_MASK]
         self.out_keys: list[NestedKey] = [ACTION, LOG_PROB]
         if self.to_goals:
-            self.in_keys += [REFUSED, GOAL]
+            self.in_keys += [REFUSED, GOAL, *CROWD_KEYS[:-1]]
             self.out_keys = [CHOICE, CHOICE_LOG_PROB, GOAL, ACTION]
 
     @property
@@ -146,7 +147,8 @@ class TeamActor(TensorDictModuleBase):
         tensordict.set(log_prob_key, log_probs.gather(-1, choice.unsqueeze(-1)).squeeze(-1))
         if self.to_goals:
             move = follow(tensordict, Candidates(*inputs), choice)
-            tensordict.set(ACTION, give_way(move, mask, tensordict.get(REFUSED)))
+            beside = crowded_in(tensordict)
+            tensordict.set(ACTION, give_way(move, mask, tensordict.get(REFUSED), beside))
         return tensordict
 
 

@@ -22,6 +22,7 @@ from marl_explore.robot.candidates import CandidateFinder, Candidates
 from marl_explore.robot.goal_network import GoalNetwork
 from marl_explore.robot.networks import Array, Weights
 from marl_explore.robot.observation import Observation
+from marl_explore.robot.ways import is_crowded
 
 _MOVE, _MOVES = GOAL_COLUMNS.index("move"), GOAL_COLUMNS.index("moves")
 _FROM_LAST_GOAL = GOAL_COLUMNS.index("from_last_goal")
@@ -132,7 +133,7 @@ class GoalActor(GoalChooser):
         if not sample and self._stalled > PATIENCE:
             choice = keep_goal(found, choice)
         wanted = self.go(found, choice)
-        return give_way(wanted, observed.action_mask, observed.refused, chance)
+        return yield_way(wanted, observed, chance)
 
 
 def keep_goal(found: Candidates, choice: int) -> int:
@@ -143,6 +144,14 @@ def keep_goal(found: Candidates, choice: int) -> int:
         return choice
     away = np.where(there, places[:, _FROM_LAST_GOAL], np.inf)
     return int(away.argmin())
+
+
+def yield_way(wanted: int, observed: Observation, chance: np.random.Generator) -> int:
+    """``give_way`` to what a robot observes, also to what crowds it (``ways.is_crowded``)."""
+    mask = observed.action_mask
+    if wanted == STAY and is_crowded(observed):
+        return _any_move(mask, chance)
+    return give_way(wanted, mask, observed.refused, chance)
 
 
 def give_way(
@@ -158,4 +167,9 @@ def give_way(
     """
     if wanted >= NUM_DIRECTIONS or (mask[wanted] and not refused):
         return wanted
+    return _any_move(mask, chance)
+
+
+def _any_move(mask: NDArray[np.bool_], chance: np.random.Generator) -> int:
+    """A random one of the open moves and staying."""
     return int(chance.choice(mask[: STAY + 1].nonzero()[0]))

@@ -26,7 +26,7 @@ from marl_explore.config.constants import (
     UNKNOWN,
 )
 from marl_explore.config.goals import GoalWeights
-from marl_explore.robot.goal_actor import GoalChooser, give_way
+from marl_explore.robot.goal_actor import GoalChooser, yield_way
 from marl_explore.robot.goal_features import FeatureScaling
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.paths import Integers, paths_to
@@ -74,7 +74,7 @@ class RobotPlanner(ABC):
 
     def __call__(self, observed: Observation) -> int:
         """An action."""
-        return give_way(self.plan(observed), observed.action_mask, observed.refused, self._chance)
+        return yield_way(self.plan(observed), observed, self._chance)
 
     def with_seed(self, seed: int | Sequence[int]) -> Self:
         """The same planner with another seed, which remembers nothing."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from marl_explore.config.constants import COMPASS, FREE, NUM_DIRECTIONS, OCCUPIED, STAY
 from marl_explore.robot.geometry import GridCell
+from marl_explore.robot.observation import Observation
 from marl_explore.robot.paths import paths_to
 
 _AROUND = np.array(COMPASS)
@@ -54,3 +55,19 @@ def step_aside(grid: NDArray[np.int8], cell: GridCell, held: Collection[GridCell
         if length and not is_only_way(grid, tuple(place)):
             return int(move)
     return STAY
+
+
+def is_crowded(observed: Observation) -> bool:
+    """``core.motion.crowded`` of one robot: whether something beside it may wait for it.
+
+    That is a cell that is closed to it although its own map has the way there open, and that holds
+    no robot to which it is linked.
+    """
+    around = np.pad(observed.map, 1, constant_values=OCCUPIED)
+    rows, columns = (_AROUND + observed.position + 1).T
+    values = around[rows, columns]
+    closed = (values == FREE) & ~observed.action_mask[:NUM_DIRECTIONS]
+    beside = values[::2] == OCCUPIED
+    closed[1::2] &= ~(beside & np.roll(beside, -1))  # between two obstacles
+    cells = {tuple(cell) for cell in (_AROUND[closed] + observed.position).tolist()}
+    return not cells <= set(observed.mates.values())

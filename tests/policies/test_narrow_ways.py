@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from marl_explore import ArenaConfig, ExplorationEnv
+from marl_explore import ArenaConfig, ExplorationEnv, metrics, record
 from marl_explore.evaluation.episodes import play
 from marl_explore.evaluation.registry import find_policy
 from tests.helpers.boards import arena
@@ -15,6 +15,10 @@ BOARDS = {
     "three in a dead end": "########\n#012...#\n########",
 }
 RUNS, STEPS = 32, 300
+SHARED_WAYS = {
+    "two in a way of two cells": "############\n#....01....#\n#....23....#\n############",
+    "a room at the end": "###########\n#....#....#\n#.01....#.#\n#....#....#\n###########",
+}
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
@@ -32,3 +36,19 @@ def test_every_run_completes(policy, board):
     *_, last = play(find_policy(policy, config), env, STEPS, until_done=True)
     complete = int(last["terminated"].sum())
     assert complete == RUNS, f"{complete} of {RUNS} runs are complete after {STEPS} steps"
+
+
+@pytest.mark.parametrize("board", SHARED_WAYS.values(), ids=SHARED_WAYS)
+@pytest.mark.parametrize("policy", ["best", "best:argmax", "goal-utility", "nearest-timer"])
+def test_every_robot_completes_its_map_though_none_is_ever_linked(policy, board):
+    """Who has nothing left to explore does not know that it stands in another's only way."""
+    obstacles, position = arena(board)
+    config = ArenaConfig(*obstacles.shape, num_agents=len(position), communication_range=0.0)
+
+    def drawn(seed, arenas, episodes):
+        return obstacles.expand(len(arenas), -1, -1), position.expand(len(arenas), -1, -1)
+
+    acting = find_policy(policy, config)
+    episodes = record(acting, config, RUNS, STEPS, arenas=drawn, until_mapped=True)
+    steps = metrics.per_episode(episodes)["steps_to_all_complete"]
+    assert (steps <= STEPS).all(), steps.tolist()

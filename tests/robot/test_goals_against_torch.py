@@ -12,10 +12,11 @@ import torch
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import Caves, ExplorationEnv, Mazes, Rooms
-from marl_explore.config.constants import FORBIDDEN_LOGIT, MAX_FRONTIERS, NUM_DIRECTIONS
+from marl_explore.config.constants import FORBIDDEN_LOGIT, MAX_FRONTIERS, NUM_DIRECTIONS, STAY
 from marl_explore.config.goals import COMPUTED, PLACE
 from marl_explore.policies.export import export_npz, robot_observation
 from marl_explore.robot import ExportedPolicy
+from marl_explore.robot.ways import is_crowded
 from marl_explore.transforms.goals import Candidates, find_candidates
 from marl_explore.transforms.memory import GOAL, MEMORY, RememberTeam
 from tests.helpers.goal_policies import goal_policy
@@ -111,6 +112,7 @@ class Comparison:
         move = goals.go(options.found, choice)
         assert np.array_equal(goals._episode.memory.goal, acted[GOAL][0, goals.robot])
         blocked = move < NUM_DIRECTIONS and (seen.refused or not seen.action_mask[move])
+        blocked |= move == STAY and is_crowded(seen)
         if not blocked:
             assert move == acted["agents", "action"][0, goals.robot]
         kinds = ["place"] * MAX_FRONTIERS + ["mate"] * len(self.robots) + ["talk", "stay"]

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
+from marl_explore import ArenaConfig, ExplorationEnv
 from marl_explore.config.constants import COMPASS, OCCUPIED, STAY
-from marl_explore.robot.ways import is_only_way, step_aside
+from marl_explore.core.motion import crowded, random_allowed
+from marl_explore.policies.observations import robot_observation
+from marl_explore.robot.ways import is_crowded, is_only_way, step_aside
 from tests.helpers.boards import arena
 
 
@@ -84,3 +89,30 @@ def test_it_stays_where_there_is_room():
 def test_cells_of_others_are_no_place_to_go():
     assert walk("#######\n#..0..#\n#######", held=[(1, 1)])[-1] == (1, 5)
     assert walk("#####\n#.0.#\n#####", held=[(1, 1), (1, 3)]) == [(1, 2)]
+
+
+@pytest.mark.parametrize("metres", [0.0, 0.3, 3.2])
+def test_crowded_is_who_has_a_strange_robot_beside_it(metres):
+    """In torch and numpy, against the arenas themselves: robots know walls beside them."""
+    config = ArenaConfig(8, 8, num_agents=9, communication_range=metres, obstacle_density=0.25)
+    env = ExplorationEnv(config, num_envs=6, max_steps=40)
+    now, seen = env.reset(), set()
+    for _ in range(20):
+        agents = now["agents"]
+        keys = ("map", "position", "linked", "action_mask")
+        found = crowded(*(agents[key] for key in keys)).tolist()
+        place, linked, walls = agents["position"].tolist(), agents["linked"], now["obstacles"]
+        for batch, robot in itertools.product(range(6), range(9)):
+            row, column = place[batch][robot]
+            strange = any(
+                max(abs(r - row), abs(c - column)) == 1
+                and not linked[batch, robot, other]
+                and not (walls[batch, r, column] and walls[batch, row, c])
+                for other, (r, c) in enumerate(place[batch])
+            )
+            assert found[batch][robot] == strange
+            assert is_crowded(robot_observation(now, batch, robot)) == strange
+            seen.add(strange)
+        action = random_allowed(agents["action_mask"][..., : STAY + 1])
+        now = env.step(now.set(("agents", "action"), action))["next"]
+    assert seen == ({False} if metres > 1 else {False, True})
