@@ -16,6 +16,7 @@ from marl_explore.config.constants import PATIENCE_STEPS as PATIENCE_STEPS
 from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import FREE, UNKNOWN, compass, flat_cell
 from marl_explore.core.links import linked_others
+from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.sensing import cells_seen_from, in_view
 from marl_explore.core.sight import line_of_sight, shapes
 
@@ -111,6 +112,10 @@ class TeamMemory(NamedTuple):
     """Cells that i leaves to teammates who have seen them, bool [*B, N, H, W]."""
     stuck: Tensor
     """Steps in a row in which all frontiers that i can reach were covered, int64 [*B, N]."""
+    known: Tensor
+    """Number of cells that its map knows, int64 [*B, N]."""
+    stalled: Tensor
+    """Steps since its map last grew, int64 [*B, N]."""
     position: Tensor
     """The robot's own position, int64 [*B, N, 2]."""
     heading: Tensor
@@ -145,6 +150,8 @@ def blank_memory(grid: Tensor, position: Tensor) -> TeamMemory:
         known_by=torch.zeros(*pairs, *grid.shape[-2:], dtype=torch.bool, device=grid.device),
         covered=torch.zeros_like(grid, dtype=torch.bool),
         stuck=torch.zeros_like(position[..., 0]),
+        known=torch.zeros_like(position[..., 0]),
+        stalled=torch.zeros_like(position[..., 0]),
         position=position,
         heading=torch.full_like(position[..., 0], -1),
         goal=torch.full_like(position, -1),
@@ -173,11 +180,14 @@ def remember(
     forget = stuck >= patience_steps
     views = surely_seen(grid, observed.position, linked, sight)
     merged = linked_others(observed.since == 0)[..., None, None]
+    known = known_cells(known_mask(grid))
     return TeamMemory(
         seen=update_sightings(before.seen, observed.now, observed.position, linked),
         known_by=before.known_by | views | (merged & (grid != UNKNOWN).unsqueeze(-3)),
         covered=(before.covered & ~forget[..., None, None]) | views.any(-3),
         stuck=stuck.masked_fill(forget, 0),
+        known=known,
+        stalled=(before.stalled + 1).masked_fill_(known > before.known, 0),
         position=observed.position,
         heading=_heading(before, observed.position),
         goal=before.goal,

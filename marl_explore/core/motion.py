@@ -8,14 +8,12 @@ import torch
 from torch import Tensor
 
 from marl_explore.core.grid import (
-    FREE,
     NUM_DIRECTIONS,
-    OCCUPIED,
     STAY,
     action_offsets,
     flat_cell,
 )
-from marl_explore.core.links import any_linked, linked_others
+from marl_explore.core.links import any_linked
 from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.sensing import OPEN, WALL, beside
 
@@ -92,27 +90,15 @@ def random_allowed(mask: Tensor) -> Tensor:
     return choice.view(mask.shape[:-1])
 
 
-def crowded(grid: Tensor, position: Tensor, linked: Tensor, mask: Tensor) -> Tensor:
-    """Robots beside which something stands that may wait for them, bool [*B, N].
-
-    That is a cell that is closed to the robot although its own map has the way there open, and that
-    holds no robot to which it is linked: those tell each other what they know.
+def turns_back(wanted: Tensor, heading: Tensor) -> Tensor:
+    """Whether moves lead back the way that the last ones led, bool [*B, N].
 
     Args:
-        grid: maps, int8 [*B, N, H, W].
-        position: int64 [*B, N, 2].
-        linked: ``links.links``, bool [*B, N, N].
-        mask: allowed actions, bool [*B, N, 10].
+        wanted: actions, int64 [*B, N].
+        heading: direction of each robot's last move, int64 [*B, N]; -1 before the first.
     """
-    size = torch.tensor(grid.shape[-2:], device=grid.device)
-    cell = position.unsqueeze(-2) + action_offsets(grid.device)[: STAY + 1]
-    inside = ((cell >= 0) & (cell < size)).all(-1)
-    place = flat_cell(cell.clamp_min(0).minimum(size - 1), grid.shape[-1])
-    value = grid.flatten(-2).gather(-1, place).masked_fill(~inside, OCCUPIED)
-    shut = closed_diagonals(value == OCCUPIED)
-    same = (cell.unsqueeze(-2) == position[..., None, None, :, :]).all(-1)
-    held = (same & linked_others(linked).unsqueeze(-2)).any(-1)
-    return ((value == FREE) & ~shut & ~held & ~mask[..., : STAY + 1]).any(-1)
+    back = (heading + NUM_DIRECTIONS // 2) % NUM_DIRECTIONS
+    return (heading >= 0) & (wanted == back)
 
 
 def give_way(
@@ -130,7 +116,7 @@ def give_way(
         wanted: int64 [*B, N].
         mask: allowed actions, bool [*B, N, 10].
         refused: whether the last move was refused, bool [*B, N].
-        crowded: who is ``crowded``, bool [*B, N]; None: nobody.
+        crowded: who ``ways.has_to_make_room``, bool [*B, N]; None: nobody.
 
     Returns:
         int64 [*B, N].

@@ -11,8 +11,9 @@ from torch import Tensor
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.grid import COMMUNICATE
 from marl_explore.core.motion import give_way
+from marl_explore.core.ways import make_room
 from marl_explore.planners.communication import CommunicationRule
-from marl_explore.planners.hindrances import Hindrances, crowded_in
+from marl_explore.planners.hindrances import Hindrances
 
 
 class Planner(TensorDictModuleBase):
@@ -71,8 +72,11 @@ class Planner(TensorDictModuleBase):
         """Write ("agents", "action")."""
         seen = self._hindrances.seen(tensordict)
         refused = self._hindrances.refused(tensordict)
-        mask, beside = seen.get(("agents", "action_mask")), crowded_in(tensordict)
-        action = give_way(self.plan(seen), mask, refused, beside)
+        crowded = self._hindrances.crowded(tensordict)
+        mask = seen.get(("agents", "action_mask"))
+        grid, position = (tensordict.get(("agents", key)) for key in ("map", "position"))
+        wanted = make_room(self.plan(seen), crowded, grid, position)
+        action = give_way(wanted, mask, refused, crowded)
         action = action.masked_fill(self.communicate(seen), COMMUNICATE)
         self._hindrances.note(action)
         return tensordict.set(("agents", "action"), action)

@@ -7,9 +7,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.constants import GOAL_COLUMNS, MATE_COLUMNS, MAX_FRONTIERS
+from marl_explore.config.goals import PATIENCE
 from marl_explore.core.grid import COMMUNICATE, STAY
+from marl_explore.core.motion import turns_back
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import GOAL
+from marl_explore.transforms.memory import GOAL, HEADING, STALLED
 
 
 def follow(tensordict: TensorDictBase, candidates: Candidates, choice: Tensor) -> Tensor:
@@ -61,6 +63,19 @@ def keep_goal(candidates: Candidates, choice: Tensor, stalled: Tensor) -> Tensor
     communicate, _ = still_choices(candidates.mates.shape[-2])
     keeps = stalled & there.any(-1) & (choice != communicate)
     return torch.where(keeps, order.argmin(-1), choice)
+
+
+def goes_to_and_fro(tensordict: TensorDictBase, move: Tensor) -> Tensor:
+    """Robots that turn back again though their maps have not grown for long, bool [*B, N].
+
+    They have learned nothing on the way; two places can seem better in turns for ever. Such a robot
+    has to give way (``core.motion.give_way``).
+
+    Args:
+        tensordict: with the memory.
+        move: the wanted moves, int64 [*B, N].
+    """
+    return (tensordict.get(STALLED) > PATIENCE) & turns_back(move, tensordict.get(HEADING))
 
 
 def still_choices(robots: int) -> tuple[int, int]:

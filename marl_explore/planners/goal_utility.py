@@ -19,9 +19,10 @@ from marl_explore.config.constants import (
 from marl_explore.config.goals import HALVES, LATEST_START, POCKET_FADE, GoalWeights
 from marl_explore.config.shapes import Sight
 from marl_explore.core.grid import COMMUNICATE
+from marl_explore.core.motion import give_way
 from marl_explore.planners.base import Planner
 from marl_explore.planners.communication import never, others_linked
-from marl_explore.planners.goal_moves import follow, still_choices
+from marl_explore.planners.goal_moves import follow, goes_to_and_fro, still_choices
 from marl_explore.transforms.goals import Candidates, find_candidates
 from marl_explore.transforms.memory import RememberTeam
 
@@ -171,4 +172,7 @@ class GoalUtility(Planner):
         covered = found.context[..., CONTEXT_COLUMNS.index("all_covered")] > 0
         waits = torch.where(covered & others_linked(tensordict).any(-1), talk, stay)
         choice = torch.where(best <= NOT_CHOSEN, waits, choice)
-        return follow(known, found, choice).masked_fill(overdue(found, weights), COMMUNICATE)
+        move = follow(known, found, choice)
+        mask = tensordict.get(("agents", "action_mask"))
+        move = give_way(move, mask, goes_to_and_fro(known, move))
+        return move.masked_fill(overdue(found, weights), COMMUNICATE)

@@ -22,9 +22,10 @@ from marl_explore.core.grid import (
     other_robots,
 )
 from marl_explore.core.links import linked_others
-from marl_explore.core.motion import crowded, has_to_give_way
+from marl_explore.core.motion import has_to_give_way
 from marl_explore.core.sensing import cells_seen_from
 from marl_explore.core.sight import line_of_sight, shapes
+from marl_explore.core.ways import crowded, has_to_make_room
 from marl_explore.transforms import FrontierReachability
 
 KEPT_STEPS = 32
@@ -33,19 +34,18 @@ ATTEMPTS = 3
 """Exchanges in a row that have to fail before a robot explores alone for a while."""
 MOST_DOUBLINGS = 5
 CROWD_KEYS: list[NestedKey] = [
-    ("agents", key) for key in ("map", "position", "linked", "action_mask")
+    ("agents", "map"),
+    ("agents", "position"),
+    ("agents", "linked"),
+    ("agents", "action_mask"),
+    ("agents", "observation", "fov"),
 ]
-"""What ``crowded_in`` reads."""
+"""What ``core.ways.crowded`` reads."""
 
 
 def begun(tensordict: TensorDictBase) -> Tensor:
     """Whether each team's episode begins, bool [*B, 1]."""
     return tensordict.get("step_count") == 0
-
-
-def crowded_in(tensordict: TensorDictBase) -> Tensor:
-    """``core.motion.crowded`` of an environment's step, bool [*B, N]."""
-    return crowded(*(tensordict.get(key) for key in CROWD_KEYS))
 
 
 class Obstructions:
@@ -205,6 +205,31 @@ class Turns:
         return refused
 
 
+class Room:
+    """Keeps in mind who was crowded until it has made room (``core.ways``)."""
+
+    def __init__(self) -> None:
+        self._crowded: Tensor | None = None
+        """Who had to at the last step."""
+        self._position = torch.zeros(0)
+
+    def only(self, arenas: Tensor) -> None:
+        """As ``Obstructions.only``."""
+        if self._crowded is not None:
+            self._crowded, self._position = self._crowded[arenas], self._position[arenas]
+
+    def wanted(self, tensordict: TensorDictBase) -> Tensor:
+        """Robots that have to make room, bool [*B, N]; to be asked once per step."""
+        now, before = crowded(*(tensordict.get(key) for key in CROWD_KEYS)), self._crowded
+        position = tensordict.get(("agents", "position"))
+        if before is not None and (before.shape, before.device) == (now.shape, now.device):
+            step = tensordict.get("step_count")
+            grid = tensordict.get(("agents", "map"))
+            now = has_to_make_room(now, before, grid, position, self._position, step)
+        self._crowded, self._position = now, position
+        return now
+
+
 class Hindrances:
     """The parts that an arena makes necessary.
 
@@ -216,6 +241,7 @@ class Hindrances:
         self._obstructions: Obstructions | None = None
         self._messages: LostMessages | None = None
         self._turns: Turns | None = None
+        self._room = Room()
         if config is None:
             return
         if config.failure_rate > 0 or config.num_walkers > 0:
@@ -227,7 +253,7 @@ class Hindrances:
 
     def only(self, arenas: Tensor) -> None:
         """As ``Obstructions.only``."""
-        for part in (self._obstructions, self._messages, self._turns):
+        for part in (self._obstructions, self._messages, self._turns, self._room):
             if part is not None:
                 part.only(arenas)
 
@@ -247,6 +273,10 @@ class Hindrances:
         if self._turns is None:
             return tensordict.get(("agents", "dangerous"))
         return self._turns.refused(tensordict)
+
+    def crowded(self, tensordict: TensorDictBase) -> Tensor:
+        """Robots that have to make room, bool [*B, N]; to be asked once per step."""
+        return self._room.wanted(tensordict)
 
     def note(self, action: Tensor) -> None:
         """Note what the robots do, int64 [*B, N]."""

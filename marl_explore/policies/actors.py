@@ -21,15 +21,16 @@ from torchrl.envs.utils import exploration_type
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
 from marl_explore.core.motion import give_way
-from marl_explore.planners.goal_moves import follow
-from marl_explore.planners.hindrances import CROWD_KEYS, crowded_in
+from marl_explore.core.ways import make_room
+from marl_explore.planners.goal_moves import follow, goes_to_and_fro
 from marl_explore.policies.networks.inputs import by_robot, observation_keys, robots_first
 from marl_explore.policies.stacking import UnknownLayerError, stack_modules
 from marl_explore.transforms.features import FEATURES
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import GOAL, REFUSED
+from marl_explore.transforms.memory import CROWDED, GOAL, HEADING, REFUSED, STALLED
 
 ACTION_MASK: NestedKey = ("agents", "action_mask")
+PLACE: list[NestedKey] = [("agents", "map"), ("agents", "position")]
 ACTION: NestedKey = ("agents", "action")
 LOG_PROB: NestedKey = ("agents", "action_log_prob")
 CHOICE: NestedKey = ("agents", "choice")
@@ -122,7 +123,7 @@ class TeamActor(TensorDictModuleBase):
         self.in_keys: list[NestedKey] = [*self.observation_keys, ACTION_MASK]
         self.out_keys: list[NestedKey] = [ACTION, LOG_PROB]
         if self.to_goals:
-            self.in_keys += [REFUSED, GOAL, *CROWD_KEYS[:-1]]
+            self.in_keys += [REFUSED, CROWDED, STALLED, HEADING, GOAL, *PLACE]
             self.out_keys = [CHOICE, CHOICE_LOG_PROB, GOAL, ACTION]
 
     @property
@@ -147,8 +148,10 @@ class TeamActor(TensorDictModuleBase):
         tensordict.set(log_prob_key, log_probs.gather(-1, choice.unsqueeze(-1)).squeeze(-1))
         if self.to_goals:
             move = follow(tensordict, Candidates(*inputs), choice)
-            beside = crowded_in(tensordict)
-            tensordict.set(ACTION, give_way(move, mask, tensordict.get(REFUSED), beside))
+            yields, crowded = tensordict.get(REFUSED), tensordict.get(CROWDED)
+            yields = yields | goes_to_and_fro(tensordict, move)
+            move = make_room(move, crowded, *(tensordict.get(key) for key in PLACE))
+            tensordict.set(ACTION, give_way(move, mask, yields, crowded))
         return tensordict
 
 

@@ -12,12 +12,12 @@ from marl_explore.config import goals
 from marl_explore.config.arena import ArenaConfig
 from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.motion import give_way
-from marl_explore.planners.goal_moves import follow, keep_goal
+from marl_explore.planners.goal_moves import follow, goes_to_and_fro, keep_goal
 from marl_explore.planners.hindrances import Turns
 from marl_explore.policies.actors import ACTION, ACTION_MASK, CHOICE
 from marl_explore.policies.policy import Policy
 from marl_explore.transforms.goals import Candidates
-from marl_explore.transforms.memory import DANGEROUS, GOAL, REFUSED
+from marl_explore.transforms.memory import DANGEROUS, GOAL, REFUSED, STALLED
 
 MAP: NestedKey = ("agents", "map")
 STEP: NestedKey = "step_count"
@@ -65,6 +65,8 @@ class ArgmaxPolicy(TensorDictModuleBase):
 
     def only(self, arenas: Tensor) -> None:
         """Forget all but some arenas of the batch [B], int64 [b]: the next one has only those."""
+        if self.policy.team.to_goals:
+            return  # what it remembers is in the memory of its features
         self._known, self._since = self._known[arenas], self._since[arenas]
         self._turns.only(arenas)
 
@@ -72,9 +74,9 @@ class ArgmaxPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ("agents", "action") int64 [*B, N]."""
         observed = self.policy.observe(tensordict)
-        stalled = self._remember(tensordict) > self.patience
         if self.policy.team.to_goals:
-            return self._choose_goals(tensordict, observed, stalled)
+            return self._choose_goals(tensordict, observed)
+        stalled = self._remember(tensordict) > self.patience
         wanted = self._choose(observed, ExplorationType.DETERMINISTIC)
         if stalled.any():
             drawn = self._choose(observed, ExplorationType.RANDOM)
@@ -86,10 +88,9 @@ class ArgmaxPolicy(TensorDictModuleBase):
         with set_exploration_type(how):
             return self.policy.team(observed).get(ACTION)
 
-    def _choose_goals(
-        self, tensordict: TensorDictBase, observed: TensorDictBase, stalled: Tensor
-    ) -> TensorDictBase:
+    def _choose_goals(self, tensordict: TensorDictBase, observed: TensorDictBase) -> TensorDictBase:
         team, last = self.policy.team, observed.get(GOAL)
+        stalled = observed.get(STALLED) > self.patience
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             acted = team(observed)
         if stalled.any():
@@ -97,8 +98,9 @@ class ArgmaxPolicy(TensorDictModuleBase):
             choice = keep_goal(found, acted.get(CHOICE), stalled)
             changed = choice != acted.get(CHOICE)
             move = follow(acted.set(GOAL, last), found, choice)
-            yields = give_way(move, tensordict.get(ACTION_MASK), observed.get(REFUSED))
-            acted.set(ACTION, torch.where(changed, yields, acted.get(ACTION)))
+            yields = observed.get(REFUSED) | goes_to_and_fro(observed, move)
+            move = give_way(move, tensordict.get(ACTION_MASK), yields)
+            acted.set(ACTION, torch.where(changed, move, acted.get(ACTION)))
         return self.policy.write(tensordict, acted)
 
     def _remember(self, tensordict: TensorDictBase) -> Tensor:

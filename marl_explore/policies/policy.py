@@ -20,7 +20,7 @@ from marl_explore.policies.actors import ACTION_MASK, TeamActor
 from marl_explore.policies.networks import Network, NetworkSettings
 from marl_explore.policies.networks.ablation import Ablated, require_abilities
 from marl_explore.transforms.features import make_features
-from marl_explore.transforms.memory import GOAL, MEMORY, REFUSED
+from marl_explore.transforms.memory import GOAL, MEMORY
 from marl_explore.utils.memory import weights_memory
 
 FOV: NestedKey = ("agents", "observation", "fov")
@@ -91,9 +91,10 @@ class Policy(TensorDictModuleBase):
         self._features = make_features(config.arena, config.network.features, config.fpr)
         read = [key for feature in self._features for key in feature.in_keys]
         own = {key for feature in self._features for key in feature.out_keys}
+        # memory is one of its features
         needed = (*read, *self.team.in_keys, ACTION_MASK, FOV)
         self.in_keys: list[NestedKey] = [
-            key for key in dict.fromkeys(needed) if key not in (*own, GOAL, REFUSED)
+            key for key in dict.fromkeys(needed) if key not in own and key[:2] != MEMORY
         ]
 
     @property

@@ -22,7 +22,7 @@ from marl_explore.robot.candidates import CandidateFinder, Candidates
 from marl_explore.robot.goal_network import GoalNetwork
 from marl_explore.robot.networks import Array, Weights
 from marl_explore.robot.observation import Observation
-from marl_explore.robot.ways import is_crowded
+from marl_explore.robot.ways import Room, make_room
 
 _MOVE, _MOVES = GOAL_COLUMNS.index("move"), GOAL_COLUMNS.index("moves")
 _FROM_LAST_GOAL = GOAL_COLUMNS.index("from_last_goal")
@@ -54,8 +54,6 @@ class GoalChooser:
     def __init__(self, robot: int, sight: Sight) -> None:
         self.robot, self.sight = robot, sight
         self._episode: CandidateFinder | None = None
-        self._known = self._stalled = 0
-        """Known cells, and for how many steps there have been so many."""
 
     def blank(self) -> Self:
         """The same without a memory."""
@@ -73,12 +71,8 @@ class GoalChooser:
         if episode is None or not episode.follows(observed):
             robots = len(observed.net)
             episode = CandidateFinder(self.robot, robots, observed.map.shape, self.sight)
-            self._episode, self._known = episode, -1
-        found = episode.find(observed)
-        same = found.context.known_cells <= self._known
-        self._stalled = self._stalled + 1 if same else 0
-        self._known = found.context.known_cells
-        return found
+            self._episode = episode
+        return episode.find(observed)
 
     def go(self, found: Candidates, choice: int) -> int:
         """The first move to a choice, whose cell is remembered as the goal.
@@ -96,6 +90,18 @@ class GoalChooser:
             return int(found.mates[mate, _MOVE_TO_MATE])
         return COMMUNICATE if mate == len(found.mates) else STAY
 
+    def is_stalled(self) -> bool:
+        """Whether its map has not grown for long."""
+        assert self._episode is not None
+        return self._episode.memory.stalled > PATIENCE
+
+    def goes_to_and_fro(self, move: int) -> bool:
+        """``planners.goal_moves.goes_to_and_fro`` of one robot."""
+        assert self._episode is not None
+        heading = int(self._episode.memory.heading)
+        back = (heading + NUM_DIRECTIONS // 2) % NUM_DIRECTIONS
+        return self.is_stalled() and heading >= 0 and move == back
+
 
 class GoalActor(GoalChooser):
     """One robot's actor that chooses among goals, and its memory of the episode.
@@ -112,7 +118,13 @@ class GoalActor(GoalChooser):
 
     def __init__(self, weights: Weights, options: dict[str, Any], robot: int, sight: Sight) -> None:
         super().__init__(robot, sight)
+        self._room = Room()
         self.network = GoalNetwork(weights, options)
+
+    def reset(self) -> None:
+        """Forget the episode."""
+        super().reset()
+        self._room = Room()
 
     def look(self, observed: Observation) -> Options:
         """Remember an observation, and weigh what there is to choose from."""
@@ -130,10 +142,14 @@ class GoalActor(GoalChooser):
         found, choices, logits = self.look(observed)
         best = (logits + chance.gumbel(size=logits.shape) if sample else logits).argmax()
         choice = choices[int(best)]
-        if not sample and self._stalled > PATIENCE:
+        if not sample and self.is_stalled():
             choice = keep_goal(found, choice)
         wanted = self.go(found, choice)
-        return yield_way(wanted, observed, chance)
+        yields = observed.refused or self.goes_to_and_fro(wanted)
+        crowded = self._room.is_wanted(observed)
+        if crowded and wanted == STAY:
+            wanted = make_room(observed)
+        return give_way(wanted, observed.action_mask, yields, chance, crowded)
 
 
 def keep_goal(found: Candidates, choice: int) -> int:
@@ -146,16 +162,12 @@ def keep_goal(found: Candidates, choice: int) -> int:
     return int(away.argmin())
 
 
-def yield_way(wanted: int, observed: Observation, chance: np.random.Generator) -> int:
-    """``give_way`` to what a robot observes, also to what crowds it (``ways.is_crowded``)."""
-    mask = observed.action_mask
-    if wanted == STAY and is_crowded(observed):
-        return _any_move(mask, chance)
-    return give_way(wanted, mask, observed.refused, chance)
-
-
 def give_way(
-    wanted: int, mask: NDArray[np.bool_], refused: bool, chance: np.random.Generator
+    wanted: int,
+    mask: NDArray[np.bool_],
+    refused: bool,
+    chance: np.random.Generator,
+    crowded: bool = False,
 ) -> int:
     """``core.motion.give_way`` of one robot: the wanted action, or a random one if it is blocked.
 
@@ -164,12 +176,9 @@ def give_way(
         mask: allowed actions [10].
         refused: whether the last move was refused.
         chance: of the random choice among the open moves and staying.
+        crowded: whether it has to make room (``ways.Room``).
     """
-    if wanted >= NUM_DIRECTIONS or (mask[wanted] and not refused):
-        return wanted
-    return _any_move(mask, chance)
-
-
-def _any_move(mask: NDArray[np.bool_], chance: np.random.Generator) -> int:
-    """A random one of the open moves and staying."""
-    return int(chance.choice(mask[: STAY + 1].nonzero()[0]))
+    blocked = wanted < NUM_DIRECTIONS and (refused or not mask[wanted])
+    if blocked or (crowded and wanted == STAY):
+        return int(chance.choice(mask[: STAY + 1].nonzero()[0]))
+    return wanted

@@ -38,6 +38,10 @@ class TeamMemory:
         """Cells that it leaves to teammates who have seen them [H, W]."""
         self.stuck = 0
         """Steps in a row in which all frontiers that it could reach were covered."""
+        self.known = 0
+        """Number of cells that its map knows."""
+        self.stalled = 0
+        """Steps since its map last grew."""
         self.position = np.full(2, -1, np.int64)
         """Its own cell [2]; (-1, -1) before the first observation."""
         self.heading = np.array(-1, np.int64)
@@ -53,6 +57,9 @@ class TeamMemory:
         if self.stuck >= PATIENCE_STEPS:
             self.covered[:] = False
             self.stuck = 0
+        known = int(np.count_nonzero(observed.map != UNKNOWN))
+        self.stalled = 0 if known > self.known else self.stalled + 1
+        self.known = known
         self._sight(observed)
         self._note_merges(observed)
         row, column = observed.position

@@ -26,11 +26,12 @@ from marl_explore.config.constants import (
     UNKNOWN,
 )
 from marl_explore.config.goals import GoalWeights
-from marl_explore.robot.goal_actor import GoalChooser, yield_way
+from marl_explore.robot.goal_actor import GoalChooser, give_way
 from marl_explore.robot.goal_features import FeatureScaling
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.paths import Integers, paths_to
 from marl_explore.robot.wavefront import Mask, beside_any
+from marl_explore.robot.ways import Room, make_room
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -50,6 +51,7 @@ class RobotPlanner(ABC):
     def __init__(self, robot: int, config: ArenaConfig, seed: int = 0) -> None:
         self.robot, self.config = robot, config
         self._chance = np.random.default_rng([seed, robot])
+        self._room = Room()
 
     def check(self, robots: int, fov_size: int) -> None:
         """Raise an error for another team or sensor than the planner is for.
@@ -74,16 +76,21 @@ class RobotPlanner(ABC):
 
     def __call__(self, observed: Observation) -> int:
         """An action."""
-        return yield_way(self.plan(observed), observed, self._chance)
+        wanted, crowded = self.plan(observed), self._room.is_wanted(observed)
+        if crowded and wanted == STAY:
+            wanted = make_room(observed)
+        return give_way(wanted, observed.action_mask, observed.refused, self._chance, crowded)
 
     def with_seed(self, seed: int | Sequence[int]) -> Self:
         """The same planner with another seed, which remembers nothing."""
         other = copy.copy(self)
         other._chance = np.random.default_rng(seed)
+        other.reset()
         return other
 
-    def reset(self) -> None:  # noqa: B027 - nothing to do for planners that remember nothing
+    def reset(self) -> None:
         """Forget the episode."""
+        self._room = Room()
 
 
 class _Timed(RobotPlanner):
@@ -194,15 +201,10 @@ class GoalUtility(RobotPlanner):
         self._scaling = FeatureScaling(numbers, every=1, after=0)
         self._goals = GoalChooser(robot, config.sight)
 
-    def with_seed(self, seed: int | Sequence[int]) -> Self:
-        """As ``RobotPlanner.with_seed``."""
-        other = super().with_seed(seed)
-        other._goals = self._goals.blank()
-        return other
-
     def reset(self) -> None:
         """Forget the episode."""
-        self._goals.reset()
+        super().reset()
+        self._goals = GoalChooser(self.robot, self.config.sight)
 
     def plan(self, observed: Observation) -> int:
         """The first move to the goal, or COMMUNICATE."""
@@ -214,6 +216,8 @@ class GoalUtility(RobotPlanner):
             waits = found.context.all_covered and bool(observed.mates)
             choice = MAX_FRONTIERS + len(found.mates) + (not waits)
         move = self._goals.go(found, choice)
+        if self._goals.goes_to_and_fro(move):
+            move = give_way(move, observed.action_mask, True, self._chance)
         return COMMUNICATE if weighed.due else move
 
 

@@ -18,14 +18,21 @@ from marl_explore.core.memory import (
     where_begun,
 )
 from marl_explore.core.motion import has_to_give_way
+from marl_explore.core.ways import crowded, has_to_make_room
 
 MEMORY: NestedKey = ("agents", "memory")
 GOAL: NestedKey = ("agents", "memory", "goal")
 """The only entry of the memory that a policy writes: the cell that each robot goes to."""
 ALL_COVERED: NestedKey = ("agents", "memory", "all_covered")
 """Whether the robot could reach frontiers, all of them covered (``GoalCandidates`` writes it)."""
+HEADING: NestedKey = ("agents", "memory", "heading")
+"""Direction of the robot's last move; -1 before the first."""
+STALLED: NestedKey = ("agents", "memory", "stalled")
+"""Steps since the robot's map last grew."""
 REFUSED: NestedKey = ("agents", "memory", "refused")
 """Whether the robot has to give way: a move was refused, and it has not had its turn since."""
+CROWDED: NestedKey = ("agents", "memory", "crowded")
+"""Whether the robot has to make room for others (``core.ways``)."""
 OBSERVED: list[NestedKey] = [
     "step_count",
     ("agents", "map"),
@@ -34,6 +41,7 @@ OBSERVED: list[NestedKey] = [
     ("agents", "steps_since_merge"),
 ]
 DANGEROUS: NestedKey = ("agents", "dangerous")
+AROUND: list[NestedKey] = [("agents", "action_mask"), ("agents", "observation", "fov")]
 
 
 def observation_of(tensordict: TensorDictBase) -> Observation:
@@ -41,18 +49,21 @@ def observation_of(tensordict: TensorDictBase) -> Observation:
     return Observation(*(tensordict.get(key) for key in OBSERVED))
 
 
-def to_tensordict(memory: TeamMemory, all_covered: Tensor, refused: Tensor) -> TensorDict:
+def to_tensordict(
+    memory: TeamMemory, all_covered: Tensor, refused: Tensor, crowded: Tensor
+) -> TensorDict:
     """The memory as the group of entries ``MEMORY``, batch [*B, N]."""
     entries = {**memory.seen._asdict(), **memory._asdict()}
-    entries |= {"all_covered": all_covered, "refused": refused}
+    entries |= {"all_covered": all_covered, "refused": refused, "crowded": crowded}
     del entries["seen"]
     return TensorDict(entries, batch_size=memory.heading.shape)
 
 
 def from_tensordict(entries: TensorDictBase) -> TeamMemory:
-    """The inverse of ``to_tensordict``."""
+    """The inverse of ``to_tensordict``; entries of later versions are 0 where they are missing."""
+    zero = torch.zeros_like(entries.get("stuck"))
     seen = Sightings(*(entries.get(name) for name in Sightings._fields))
-    rest = (entries.get(name) for name in TeamMemory._fields if name != "seen")
+    rest = (entries.get(name, zero) for name in TeamMemory._fields if name != "seen")
     return TeamMemory(seen, *rest)
 
 
@@ -80,7 +91,7 @@ class RememberTeam(Transform):
         sight: Sight | None = None,
         move_period: int | tuple[int, ...] = 1,
     ) -> None:
-        super().__init__(in_keys=[*OBSERVED, DANGEROUS], out_keys=[MEMORY])
+        super().__init__(in_keys=[*OBSERVED, *AROUND, DANGEROUS], out_keys=[MEMORY])
         self.sight = Sight.square(radius) if sight is None else sight
         self.move_period = move_period
         self._kept: TensorDictBase | None = None
@@ -116,7 +127,7 @@ class RememberTeam(Transform):
             started = where_begun(begun, from_tensordict(memory), from_tensordict(given))
             flags = (
                 torch.where(begun.unsqueeze(-1), memory.get(key), _flag(given, key))
-                for key in ("all_covered", "refused")
+                for key in ("all_covered", "refused", "crowded")
             )
             memory = to_tensordict(started, *flags)
         return tensordict_reset.set(MEMORY, memory)
@@ -127,15 +138,20 @@ class RememberTeam(Transform):
         memory = blank = blank_memory(observed.grid, observed.position)
         covered = torch.zeros_like(blank.heading, dtype=torch.bool)
         refused = tensordict.get(DANGEROUS, covered)
+        around = (tensordict.get(key) for key in AROUND)
+        beset = crowded(observed.grid, observed.position, observed.linked, *around)
         if before is not None:
             begun = _begun(tensordict)
             memory = where_begun(begun, blank, from_tensordict(before))
             covered = before.get("all_covered") & ~begun.unsqueeze(-1)
             earlier = _flag(before, "refused")
             refused = has_to_give_way(refused, earlier, self.move_period, observed.now)
+            earlier, last = _flag(before, "crowded"), memory.position
+            grid, position = observed.grid, observed.position
+            beset = has_to_make_room(beset, earlier, grid, position, last, observed.now)
         after = remember(memory, observed, covered, self.sight)
         # until candidates are found, none are covered
-        return to_tensordict(after, torch.zeros_like(covered), refused)
+        return to_tensordict(after, torch.zeros_like(covered), refused, beset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the memory's entries to the observation spec."""
@@ -181,11 +197,14 @@ def memory_spec(maps: Bounded) -> Composite:
         known_by=flag(robots, height, width),
         covered=flag(height, width),
         stuck=integer(),
+        known=integer(),
+        stalled=integer(),
         position=integer(2),
         heading=Bounded(-1, 7, shape=team, dtype=torch.int64, device=device),
         goal=integer(2),
         all_covered=flag(),
         refused=flag(),
+        crowded=flag(),
         shape=team,
         device=device,
     )

@@ -112,6 +112,8 @@ def test_dtypes_and_shapes_stay_the_same_from_the_blank_memory_on():
             "known_by": (torch.bool, (2, 3, 3, 5, 7)),
             "covered": (torch.bool, (2, 3, 5, 7)),
             "stuck": (torch.int64, (2, 3)),
+            "known": (torch.int64, (2, 3)),
+            "stalled": (torch.int64, (2, 3)),
             "position": (torch.int64, (2, 3, 2)),
             "heading": (torch.int64, (2, 3)),
             "goal": (torch.int64, (2, 3, 2)),

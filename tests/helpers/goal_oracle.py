@@ -44,6 +44,8 @@ class Memory:
     known_by: list[set[tuple[int, int]]]
     covered: set[tuple[int, int]]
     stuck: int
+    known: int
+    stalled: int
     position: tuple[int, int]
     heading: int
     goal: tuple[int, int]
@@ -58,6 +60,8 @@ def blank(robots, position) -> Memory:
         known_by=[set() for _ in range(robots)],
         covered=set(),
         stuck=0,
+        known=0,
+        stalled=0,
         position=position,
         heading=NO_DIRECTION,
         goal=NO_GOAL,
@@ -90,6 +94,9 @@ def remember(
     if stuck == patience:
         covered, stuck = set(), 0
 
+    known = sum(value(map_, c) != UNKNOWN for c in all_cells(map_))
+    stalled = 0 if known > before.known else before.stalled + 1
+
     for j, cell in linked.items():
         waited[j] = before.seen_step[j] == now - 1 and before.seen_cell[j] == cell
         seen_step[j], seen_cell[j] = now, cell
@@ -107,7 +114,17 @@ def remember(
             heading = direction
 
     return Memory(
-        seen_step, seen_cell, waited, known_by, covered, stuck, position, heading, before.goal
+        seen_step,
+        seen_cell,
+        waited,
+        known_by,
+        covered,
+        stuck,
+        known,
+        stalled,
+        position,
+        heading,
+        before.goal,
     )
 
 

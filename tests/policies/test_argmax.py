@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -10,8 +12,10 @@ from torch import nn
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from marl_explore import ArenaConfig, ExplorationEnv
-from marl_explore.config.constants import GOAL_COLUMNS, MAX_FRONTIERS
+from marl_explore.config import goals
+from marl_explore.config.constants import COMPASS, GOAL_COLUMNS, MAX_FRONTIERS
 from marl_explore.evaluation.registry import find_policy
+from marl_explore.planners import goal_moves
 from marl_explore.planners.goal_moves import keep_goal
 from marl_explore.policies.argmax import ArgmaxPolicy
 from marl_explore.policies.export import export_npz, robot_observation
@@ -148,9 +152,12 @@ def steps_to_the_end(act):
     raise AssertionError("an episode ends after 120 steps")
 
 
-def test_two_robots_do_not_turn_back_and_forth_for_each_other():
+def test_two_robots_do_not_turn_back_and_forth_for_each_other(monkeypatch):
+    """Each of two rules is enough: to keep the last goal, and not to turn back again."""
     torch.manual_seed(0)
     policy = load_policy("best")
+    assert steps_to_the_end(ArgmaxPolicy(policy, patience=1000)) < 110
+    monkeypatch.setattr(goal_moves, "PATIENCE", 1000)
     assert steps_to_the_end(ArgmaxPolicy(policy)) < 110
     assert steps_to_the_end(ArgmaxPolicy(policy, patience=1000)) == 120
 
@@ -164,6 +171,27 @@ def test_two_robots_with_numpy_alone_do_not_either(tmp_path):
         return td.set(("agents", "action"), torch.tensor([actions]))
 
     assert steps_to_the_end(act) < 110
+
+
+def test_who_goes_to_and_fro_turns_back_after_long_without_growth():
+    """Against a loop, in torch and in numpy."""
+    stalled, heading, move = torch.meshgrid(
+        torch.tensor([0, goals.PATIENCE, goals.PATIENCE + 1, 300]),
+        torch.arange(-1, 8),
+        torch.arange(10),
+        indexing="ij",
+    )
+    memory = TensorDict({"agents": {"memory": {"stalled": stalled, "heading": heading}}})
+    found = goal_moves.goes_to_and_fro(memory, move)
+    chooser = goal_actor.GoalChooser(0, ArenaConfig().sight)
+    for steps, last, wanted, answer in zip(
+        *(entry.flatten().tolist() for entry in (stalled, heading, move, found)), strict=True
+    ):
+        back = last >= 0 and wanted < 8 and COMPASS[wanted] == tuple(-x for x in COMPASS[last])
+        assert answer == (back and steps > goals.PATIENCE)
+        chooser._episode = SimpleNamespace(memory=SimpleNamespace(stalled=steps, heading=last))
+        assert chooser.goes_to_and_fro(wanted) == answer
+    assert found.sum() == 2 * 8
 
 
 def test_the_goal_that_is_kept_is_the_nearest_to_the_last_one():

@@ -14,15 +14,16 @@ from torchrl.envs import ExplorationType, set_exploration_type
 from marl_explore import Caves, ExplorationEnv, Mazes, Rooms
 from marl_explore.config.constants import FORBIDDEN_LOGIT, MAX_FRONTIERS, NUM_DIRECTIONS, STAY
 from marl_explore.config.goals import COMPUTED, PLACE
+from marl_explore.planners import goal_moves
 from marl_explore.policies.export import export_npz, robot_observation
 from marl_explore.robot import ExportedPolicy
-from marl_explore.robot.ways import is_crowded
 from marl_explore.transforms.goals import Candidates, find_candidates
-from marl_explore.transforms.memory import GOAL, MEMORY, RememberTeam
+from marl_explore.transforms.memory import CROWDED, GOAL, MEMORY, RememberTeam
 from tests.helpers.goal_policies import goal_policy
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
-MEMORIES = ("known_by", "covered", "waited", "stuck", "position", "heading", "goal", "all_covered")
+MEMORIES = ("known_by", "covered", "waited", "stuck", "known", "stalled")
+MEMORIES += ("position", "heading", "goal", "all_covered")
 PLACES = [COMPUTED.index(name) for name in PLACE]
 
 
@@ -111,8 +112,14 @@ class Comparison:
             self.counts["ties"] += 1
         move = goals.go(options.found, choice)
         assert np.array_equal(goals._episode.memory.goal, acted[GOAL][0, goals.robot])
-        blocked = move < NUM_DIRECTIONS and (seen.refused or not seen.action_mask[move])
-        blocked |= move == STAY and is_crowded(seen)
+        crowded = goals._room.is_wanted(seen)
+        assert crowded == acted[CROWDED][0, goals.robot]
+        to_and_fro = goals.goes_to_and_fro(move)
+        moves = torch.full(acted[CROWDED].shape, move)
+        assert goal_moves.goes_to_and_fro(acted, moves)[0, goals.robot] == to_and_fro
+        yields = seen.refused or to_and_fro
+        blocked = move < NUM_DIRECTIONS and (yields or not seen.action_mask[move])
+        blocked |= move == STAY and crowded
         if not blocked:
             assert move == acted["agents", "action"][0, goals.robot]
         kinds = ["place"] * MAX_FRONTIERS + ["mate"] * len(self.robots) + ["talk", "stay"]

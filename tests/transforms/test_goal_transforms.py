@@ -90,6 +90,7 @@ def test_on_an_environment_memory_is_that_of_each_episode():
             remember(before, observed, covered, ARENA.sight),
             step[ALL_COVERED],
             step["agents", "dangerous"],
+            torch.zeros_like(covered),  # robots beside each other are linked
         )
         now = step[MEMORY]
         assert same(now.exclude("goal"), expected.exclude("goal"))  # a policy has set the goal
@@ -160,6 +161,7 @@ def test_a_reset_to_the_middle_of_an_episode_without_memory_starts_a_new_one():
         remember(fresh, observation_of(later), never, ARENA.sight),
         observed[ALL_COVERED],
         later["agents", "dangerous"],
+        never,
     )
     assert same(observed[MEMORY], expected)
 
