@@ -173,6 +173,7 @@ class GoalUtility(Planner):
         waits = torch.where(covered & others_linked(tensordict).any(-1), talk, stay)
         choice = torch.where(best <= NOT_CHOSEN, waits, choice)
         move = follow(known, found, choice)
-        mask = tensordict.get(("agents", "action_mask"))
-        move = give_way(move, mask, goes_to_and_fro(known, move))
+        yields = goes_to_and_fro(known, move)
+        if yields.any():
+            move = give_way(move, tensordict.get(("agents", "action_mask")), yields)
         return move.masked_fill(overdue(found, weights), COMMUNICATE)
