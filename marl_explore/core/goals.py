@@ -27,6 +27,7 @@ from marl_explore.core.grid import (
     flat_cell,
     straight_distances,
 )
+from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import Backend
 from marl_explore.core.sight import expected_discoveries
@@ -69,18 +70,20 @@ class Situation(NamedTuple):
         return flat_cell(torch.minimum(beside, last), width)
 
 
-def taken_cells(fov: Tensor, grid: Tensor, position: Tensor) -> Tensor:
+def taken_cells(fov: Tensor, grid: Tensor, position: Tensor, sight: Sight) -> Tensor:
     """Neighbouring cells that a robot sees to be blocked although its map has them free.
 
-    Another robot or a person stands there, or it cannot be seen at the moment.
+    Another robot or a person stands there. A diagonal neighbour between two obstacles, where those
+    end sight, is none: it is not seen, and may be free.
 
     Args:
-        fov: field of view, float [*B, 2k + 1, 2k + 1], 1 where blocked.
-        grid: maps, int8 [*B, H, W].
-        position: int64 [*B, 2].
+        fov: fields of view, float [*B, N, 2k + 1, 2k + 1], 1 where blocked or not seen.
+        grid: maps, int8 [*B, N, H, W].
+        position: int64 [*B, N, 2].
+        sight: of the robots.
 
     Returns:
-        bool [*B, 8].
+        bool [*B, N, 8].
     """
     height, width = grid.shape[-2:]
     centre = fov.shape[-1] // 2
@@ -89,7 +92,12 @@ def taken_cells(fov: Tensor, grid: Tensor, position: Tensor) -> Tensor:
     target = position.unsqueeze(-2) + step
     inside = (target >= 0).all(-1) & (target[..., 0] < height) & (target[..., 1] < width)
     cell = torch.where(inside, flat_cell(target, width), 0)
-    return blocked & inside & (grid.flatten(-2).gather(-1, cell) == FREE)
+    value = grid.flatten(-2).gather(-1, cell)
+    taken = blocked & inside & (value == FREE)
+    if not sight.line_of_sight:
+        return taken
+    wall = torch.nn.functional.pad(value == OCCUPIED, (0, 1))  # the own cell is none
+    return taken & ~closed_diagonals(wall)[..., :NUM_DIRECTIONS]
 
 
 def unseen_in_sight(

@@ -14,6 +14,7 @@ from marl_explore.config.constants import (
     LONG_AGO,
     MATE_COLUMNS,
     NUM_DIRECTIONS,
+    OCCUPIED,
     UNKNOWN,
 )
 from marl_explore.config.shapes import Sight
@@ -95,7 +96,7 @@ class CandidateFinder:
         self.last_step = observed.step
         self._situation.grid[:] = observed.map
         self._situation.allowed[:] = observed.action_mask[:NUM_DIRECTIONS]
-        self._situation.taken[:] = taken_cells(observed)
+        self._situation.taken[:] = taken_cells(observed, self._sight)
         table = self._find()
         self.memory.all_covered = table.all_covered
         return Candidates(
@@ -124,15 +125,16 @@ class CandidateFinder:
         return rows.T
 
 
-def taken_cells(observed: Observation) -> NDArray[np.bool_]:
-    """Neighbouring cells that the robot sees to be blocked although its map has them free [8]."""
-    centre = len(observed.fov) // 2
-    taken = observed.fov[_ROWS + centre, _COLUMNS + centre] > 0
-    (row, column), (height, width) = observed.position, observed.map.shape
-    for direction in taken.nonzero()[0].tolist():
-        up, side = COMPASS[direction]
-        inside = 0 <= row + up < height and 0 <= column + side < width
-        taken[direction] = inside and observed.map[row + up, column + side] == FREE
+def taken_cells(observed: Observation, sight: Sight) -> NDArray[np.bool_]:
+    """``core.goals.taken_cells`` of one robot [8]."""
+    centre, (row, column) = len(observed.fov) // 2, observed.position
+    blocked = observed.fov[_ROWS + centre, _COLUMNS + centre] > 0
+    around = np.pad(observed.map, 1, constant_values=OCCUPIED)
+    value = around[_ROWS + row + 1, _COLUMNS + column + 1]
+    taken = blocked & (value == FREE)
+    if sight.line_of_sight:
+        wall = value[::2] == OCCUPIED
+        taken[1::2] &= ~(wall & np.roll(wall, -1))  # not seen
     return taken
 
 

@@ -78,7 +78,7 @@ def find_candidates(
     grid, position, mask = (agents.get(key) for key in ("map", "position", "action_mask"))
     fov = agents.get(("observation", "fov"))
     situation = Situation(
-        grid, position, taken_cells(fov, grid, position), mask[..., :NUM_DIRECTIONS], memory
+        grid, position, taken_cells(fov, grid, position, sight), mask[..., :NUM_DIRECTIONS], memory
     )
     c_code = in_use("goals", backend, grid.device)
     table = (kernel if c_code else goals).goal_table(situation, sight)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import Phase, find, given, settings
@@ -22,6 +23,8 @@ from marl_explore.core.memory import (
     blank_memory,
     remember,
 )
+from marl_explore.robot import candidates as robot_candidates
+from marl_explore.robot.observation import Observation as RobotObservation
 from tests.helpers import goal_oracle
 from tests.helpers.boards import map_cells
 from tests.helpers.goal_implementations import (
@@ -61,13 +64,13 @@ def observation_of(td):
     )
 
 
-def situation_of(td, memory):
+def situation_of(td, memory, sight):
     agents = td["agents"]
     grid, position = agents["map"], agents["position"]
     return Situation(
         grid=grid,
         position=position,
-        taken=taken_cells(agents["observation", "fov"], grid, position),
+        taken=taken_cells(agents["observation", "fov"], grid, position, sight),
         allowed=agents["action_mask"][..., :NUM_DIRECTIONS],
         memory=memory,
     )
@@ -128,7 +131,7 @@ def follow_the_reference(env, td, steps, seed, patience=PATIENCE_STEPS):
         memory = remember(memory, observed, all_covered, sight, patience)
         known = (observed.grid != UNKNOWN).unsqueeze(1)
         assert not (memory.known_by & ~known).any(), "what a robot is sure of is true"
-        situation = situation_of(td, memory)
+        situation = situation_of(td, memory, sight)
         table = goal_table(situation, sight)
         for index in robots:
             expected[index] = next_robot_memory(
@@ -344,7 +347,7 @@ def test_a_robots_goals_depend_on_nothing_that_it_does_not_observe(scenario, see
     for _ in scenario.actions:
         before = memory
         memory = remember(before, observation_of(td), all_covered, sight)
-        table = goal_table(situation_of(td, memory), sight)
+        table = goal_table(situation_of(td, memory, sight), sight)
         robot = chance.randrange(scenario.rules.num_agents)
         other_env = ExplorationEnv(scenario.config, num_envs=env.num_envs)
         changed = other_env.reset(another_world(chance, td, robot, scenario.rules), set_state=True)
@@ -356,7 +359,7 @@ def test_a_robots_goals_depend_on_nothing_that_it_does_not_observe(scenario, see
             with_own_row(robot, all_covered, ~all_covered),
             sight,
         )
-        other_table = goal_table(situation_of(changed, other), sight)
+        other_table = goal_table(situation_of(changed, other, sight), sight)
         for arena in range(env.num_envs):
             assert robot_memory(other, arena, robot) == robot_memory(memory, arena, robot)
             assert of_robot(other_table, arena, robot) == of_robot(table, arena, robot)
@@ -734,9 +737,34 @@ def test_taken_cells_look_blocked_and_are_free_in_the_map(border):
     """)
     fov = torch.tensor([[1.0, 1, 1], [1, 0, 0], [1, 1, 1]])  # beyond the upper edge all is 1
     fov = torch.nn.functional.pad(fov, (border,) * 4, value=1.0)
-    taken = taken_cells(fov.unsqueeze(0), grid.unsqueeze(0), torch.tensor([[0, 1]]))
+    place, sight = torch.tensor([[0, 1]]), Sight.square(1 + border)
+    taken = taken_cells(fov.unsqueeze(0), grid.unsqueeze(0), place, sight)
     assert taken.dtype == torch.bool
     assert taken.squeeze(0).nonzero().flatten().tolist() == [SE, W]
+
+
+@pytest.mark.parametrize(
+    ("sight", "seen"),
+    [
+        (Sight("square", Sight.square(1).ranges_cells, False), True),
+        (Sight("square", Sight.square(1).ranges_cells, True), False),  # it is behind a corner
+        (Sight("disc", (1.5,), True), False),
+    ],
+)
+def test_a_neighbour_behind_a_corner_is_not_taken(sight, seen):
+    """A frontier there would be no candidate, and a robot with no other would stay for ever."""
+    grid = map_cells("""
+        .#..
+        #.??
+    """)
+    fov = torch.zeros(3, 3)
+    fov[0], fov[:, 0], fov[1, 2], fov[2, 1], fov[2, 2] = 1, 1, 1, 1, 1
+    cell = torch.tensor([[0, 0]])
+    taken = taken_cells(fov[None], grid[None], cell, sight)
+    assert taken.squeeze(0).nonzero().flatten().tolist() == [SE] * seen
+    rest = np.zeros(10), np.ones(10, bool), grid.numpy(), (0, 0), np.zeros(1), np.zeros(1)
+    observed = RobotObservation(fov.numpy(), np.zeros((8, 3)), *rest)
+    assert robot_candidates.taken_cells(observed, sight).tolist() == taken.squeeze(0).tolist()
 
 
 # ---------------------------------------------------------------- teammates
