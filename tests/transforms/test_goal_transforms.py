@@ -254,14 +254,16 @@ def test_a_refusal_is_forgotten_where_an_episode_begins(set_state):
     assert not begun[ALL_COVERED][two.squeeze(-1)].any()
 
 
-def test_memories_of_before_there_were_refusals_go_on():
+def test_memories_of_before_there_were_some_entries_go_on():
     keeper = RememberTeam(sight=ARENA.sight, move_period=2)
     steps = ExplorationEnv(ARENA, num_envs=2).rollout(6).unbind(1)
     for step in steps[:3]:
         keeper(step)
-    del keeper._kept["refused"]
+    for name in ("refused", "crowded", "known", "stalled"):
+        del keeper._kept[name]
     after = keeper(steps[3].exclude(("agents", "dangerous")))
     assert not after[REFUSED].any()
+    assert not after[MEMORY]["stalled"].any()  # its map grew by all that it knows
     assert (after[MEMORY]["step"] >= 0).any()
 
 
