@@ -27,11 +27,11 @@ from marl_explore.core.grid import (
     flat_cell,
     straight_distances,
 )
-from marl_explore.core.mapping import closed_diagonals
 from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import Backend
 from marl_explore.core.sight import expected_discoveries
 from marl_explore.core.wavefront import nearest_distance
+from marl_explore.core.ways import blocked_beside
 
 
 class GoalTable(NamedTuple):
@@ -85,19 +85,8 @@ def taken_cells(fov: Tensor, grid: Tensor, position: Tensor, sight: Sight) -> Te
     Returns:
         bool [*B, N, 8].
     """
-    height, width = grid.shape[-2:]
-    centre = fov.shape[-1] // 2
-    step = compass(grid.device)
-    blocked = fov[..., centre + step[:, 0], centre + step[:, 1]] > 0
-    target = position.unsqueeze(-2) + step
-    inside = (target >= 0).all(-1) & (target[..., 0] < height) & (target[..., 1] < width)
-    cell = torch.where(inside, flat_cell(target, width), 0)
-    value = grid.flatten(-2).gather(-1, cell)
-    taken = blocked & inside & (value == FREE)
-    if not sight.line_of_sight:
-        return taken
-    wall = torch.nn.functional.pad(value == OCCUPIED, (0, 1))  # the own cell is none
-    return taken & ~closed_diagonals(wall)[..., :NUM_DIRECTIONS]
+    blocked, shut = blocked_beside(fov, grid, position)
+    return blocked & ~shut if sight.line_of_sight else blocked
 
 
 def unseen_in_sight(

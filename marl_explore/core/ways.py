@@ -11,7 +11,7 @@ from marl_explore.core.grid import (
     NUM_DIRECTIONS,
     OCCUPIED,
     STAY,
-    action_offsets,
+    compass,
     flat_cell,
 )
 from marl_explore.core.links import linked_others
@@ -32,16 +32,32 @@ def crowded(grid: Tensor, position: Tensor, linked: Tensor, mask: Tensor, fov: T
         mask: allowed actions, bool [*B, N, 10]; out of its turn all moves are closed to a robot.
         fov: fields of view, [*B, N, 2k + 1, 2k + 1].
     """
-    size = torch.tensor(grid.shape[-2:], device=grid.device)
-    cell = position.unsqueeze(-2) + action_offsets(grid.device)[: STAY + 1]
-    inside = ((cell >= 0) & (cell < size)).all(-1)
-    place = flat_cell(cell.clamp_min(0).minimum(size - 1), grid.shape[-1])
-    value = grid.flatten(-2).gather(-1, place).masked_fill(~inside, OCCUPIED)
-    shut = closed_diagonals(value == OCCUPIED)
+    blocked, shut = blocked_beside(fov, grid, position)
+    cell = position.unsqueeze(-2) + compass(grid.device)
     same = (cell.unsqueeze(-2) == position[..., None, None, :, :]).all(-1)
     held = (same & linked_others(linked).unsqueeze(-2)).any(-1)
-    closed = ~mask[..., : STAY + 1] & (beside(fov) > 0)
-    return ((value == FREE) & ~shut & ~held & closed).any(-1)
+    return (blocked & ~shut & ~held & ~mask[..., :NUM_DIRECTIONS]).any(-1)
+
+
+def blocked_beside(fov: Tensor, grid: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+    """Neighbouring cells not seen free that the map has free, and those behind closed diagonals.
+
+    Args:
+        fov: fields of view, [*B, 2k + 1, 2k + 1], 1 where blocked or not seen.
+        grid: maps, int8 [*B, H, W].
+        position: int64 [*B, 2].
+
+    Returns:
+        Two of bool [*B, 8].
+    """
+    height, width = grid.shape[-2:]
+    target = position.unsqueeze(-2) + compass(grid.device)
+    inside = (target >= 0).all(-1) & (target[..., 0] < height) & (target[..., 1] < width)
+    cell = torch.where(inside, flat_cell(target, width), 0)
+    value = grid.flatten(-2).gather(-1, cell).masked_fill(~inside, OCCUPIED)
+    wall = torch.nn.functional.pad(value == OCCUPIED, (0, 1))  # the own cell is none
+    blocked = (value == FREE) & (beside(fov)[..., :NUM_DIRECTIONS] > 0)
+    return blocked, closed_diagonals(wall)[..., :NUM_DIRECTIONS]
 
 
 def roomy(grid: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ where an episode begins.
 from __future__ import annotations
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_explore.config.arena import ArenaConfig
@@ -25,22 +25,15 @@ from marl_explore.core.links import linked_others
 from marl_explore.core.motion import has_to_give_way
 from marl_explore.core.sensing import cells_seen_from
 from marl_explore.core.sight import line_of_sight, shapes
-from marl_explore.core.ways import crowded, has_to_make_room
+from marl_explore.core.ways import has_to_make_room
 from marl_explore.transforms import FrontierReachability
+from marl_explore.transforms.memory import crowded_in
 
 KEPT_STEPS = 32
 """How long a robot drives around something that it has seen once."""
 ATTEMPTS = 3
 """Exchanges in a row that have to fail before a robot explores alone for a while."""
 MOST_DOUBLINGS = 5
-CROWD_KEYS: list[NestedKey] = [
-    ("agents", "map"),
-    ("agents", "position"),
-    ("agents", "linked"),
-    ("agents", "action_mask"),
-    ("agents", "observation", "fov"),
-]
-"""What ``core.ways.crowded`` reads."""
 
 
 def begun(tensordict: TensorDictBase) -> Tensor:
@@ -220,7 +213,7 @@ class Room:
 
     def wanted(self, tensordict: TensorDictBase) -> Tensor:
         """Robots that have to make room, bool [*B, N]; to be asked once per step."""
-        now, before = crowded(*(tensordict.get(key) for key in CROWD_KEYS)), self._crowded
+        now, before = crowded_in(tensordict), self._crowded
         position = tensordict.get(("agents", "position"))
         if before is not None and (before.shape, before.device) == (now.shape, now.device):
             step = tensordict.get("step_count")

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from marl_explore.config.constants import (
     COMMUNICATE,
     COMPASS,
-    FREE,
     LONG_AGO,
     MATE_COLUMNS,
     NUM_DIRECTIONS,
-    OCCUPIED,
     UNKNOWN,
 )
 from marl_explore.config.shapes import Sight
@@ -22,6 +20,7 @@ from marl_explore.robot.goals import goal_finder
 from marl_explore.robot.memory import TeamMemory
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.situation import GoalTable, Situation
+from marl_explore.robot.ways import blocked_beside
 
 _ROWS, _COLUMNS = np.array(COMPASS).T
 _SEEN, _LINKED, _AGE, _MOVES, _MOVE, _UNSHARED, _SINCE, _SQUARE, _WAITED = range(len(MATE_COLUMNS))
@@ -127,15 +126,8 @@ class CandidateFinder:
 
 def taken_cells(observed: Observation, sight: Sight) -> NDArray[np.bool_]:
     """``core.goals.taken_cells`` of one robot [8]."""
-    centre, (row, column) = len(observed.fov) // 2, observed.position
-    blocked = observed.fov[_ROWS + centre, _COLUMNS + centre] > 0
-    around = np.pad(observed.map, 1, constant_values=OCCUPIED)
-    value = around[_ROWS + row + 1, _COLUMNS + column + 1]
-    taken = blocked & (value == FREE)
-    if sight.line_of_sight:
-        wall = value[::2] == OCCUPIED
-        taken[1::2] &= ~(wall & np.roll(wall, -1))  # not seen
-    return taken
+    blocked, shut = blocked_beside(observed)
+    return blocked & ~shut if sight.line_of_sight else blocked
 
 
 def _context(observed: Observation, table: GoalTable, sight: Sight) -> Context:

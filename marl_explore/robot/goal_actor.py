@@ -146,10 +146,7 @@ class GoalActor(GoalChooser):
             choice = keep_goal(found, choice)
         wanted = self.go(found, choice)
         yields = observed.refused or self.goes_to_and_fro(wanted)
-        crowded = self._room.is_wanted(observed)
-        if crowded and wanted == STAY:
-            wanted = make_room(observed)
-        return give_way(wanted, observed.action_mask, yields, chance, crowded)
+        return yield_way(wanted, observed, yields, self._room, chance)
 
 
 def keep_goal(found: Candidates, choice: int) -> int:
@@ -160,6 +157,24 @@ def keep_goal(found: Candidates, choice: int) -> int:
         return choice
     away = np.where(there, places[:, _FROM_LAST_GOAL], np.inf)
     return int(away.argmin())
+
+
+def yield_way(
+    wanted: int, observed: Observation, refused: bool, room: Room, chance: np.random.Generator
+) -> int:
+    """``give_way`` to what a robot observes, and make room for others; to be asked once per step.
+
+    Args:
+        wanted: an action.
+        observed: the robot's observation.
+        refused: whether it has to give way.
+        room: what it remembers of having to make room.
+        chance: as for ``give_way``.
+    """
+    crowded = room.is_wanted(observed)
+    if crowded and wanted == STAY:
+        wanted = make_room(observed)
+    return give_way(wanted, observed.action_mask, refused, chance, crowded)
 
 
 def give_way(

@@ -26,12 +26,12 @@ from marl_explore.config.constants import (
     UNKNOWN,
 )
 from marl_explore.config.goals import GoalWeights
-from marl_explore.robot.goal_actor import GoalChooser, give_way
+from marl_explore.robot.goal_actor import GoalChooser, give_way, yield_way
 from marl_explore.robot.goal_features import FeatureScaling
 from marl_explore.robot.observation import Observation
 from marl_explore.robot.paths import Integers, paths_to
 from marl_explore.robot.wavefront import Mask, beside_any
-from marl_explore.robot.ways import Room, make_room
+from marl_explore.robot.ways import Room
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -76,10 +76,8 @@ class RobotPlanner(ABC):
 
     def __call__(self, observed: Observation) -> int:
         """An action."""
-        wanted, crowded = self.plan(observed), self._room.is_wanted(observed)
-        if crowded and wanted == STAY:
-            wanted = make_room(observed)
-        return give_way(wanted, observed.action_mask, observed.refused, self._chance, crowded)
+        refused, room = observed.refused, self._room
+        return yield_way(self.plan(observed), observed, refused, room, self._chance)
 
     def with_seed(self, seed: int | Sequence[int]) -> Self:
         """The same planner with another seed, which remembers nothing."""

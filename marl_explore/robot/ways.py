@@ -64,17 +64,21 @@ def is_crowded(observed: Observation) -> bool:
     That is a cell that is not seen free and closed to it, although its own map has the way there
     open, and that holds no robot to which it is linked.
     """
+    blocked, shut = blocked_beside(observed)
+    closed = blocked & ~shut & ~observed.action_mask[:NUM_DIRECTIONS]
+    cells = {tuple(cell) for cell in (_AROUND[closed] + observed.position).tolist()}
+    return not cells <= set(observed.mates.values())
+
+
+def blocked_beside(observed: Observation) -> tuple[Mask, Mask]:
+    """``core.ways.blocked_beside`` of one robot, two of bool [8]."""
     around = np.pad(observed.map, 1, constant_values=OCCUPIED)
     rows, columns = (_AROUND + observed.position + 1).T
     values = around[rows, columns]
-    middle = len(observed.fov) // 2
-    rows, columns = (_AROUND + middle).T
-    seen_free = observed.fov[rows, columns] == 0
-    closed = (values == FREE) & ~seen_free & ~observed.action_mask[:NUM_DIRECTIONS]
-    beside = values[::2] == OCCUPIED
-    closed[1::2] &= ~(beside & np.roll(beside, -1))  # between two obstacles
-    cells = {tuple(cell) for cell in (_AROUND[closed] + observed.position).tolist()}
-    return not cells <= set(observed.mates.values())
+    rows, columns = (_AROUND + len(observed.fov) // 2).T
+    wall, shut = values[::2] == OCCUPIED, np.zeros(NUM_DIRECTIONS, np.bool_)
+    shut[1::2] = wall & np.roll(wall, -1)
+    return (values == FREE) & (observed.fov[rows, columns] > 0), shut
 
 
 def roomy(grid: NDArray[np.int8]) -> Mask:
@@ -107,10 +111,7 @@ class Room:
         """``core.ways.has_to_make_room`` of one robot; to be asked once per step."""
         waits = self._crowded and observed.step > 0
         if waits:
-            cells = roomy(observed.map)
-            waits = not (cells[observed.position] if cells.any() else self._has_moved(observed))
+            cells, cell = roomy(observed.map), observed.position
+            waits = not (cells[cell] if cells.any() else cell != self._cell)
         self._crowded, self._cell = waits or is_crowded(observed), observed.position
         return self._crowded
-
-    def _has_moved(self, observed: Observation) -> bool:
-        return observed.position != self._cell

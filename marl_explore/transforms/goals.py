@@ -24,6 +24,7 @@ from marl_explore.core import goals
 from marl_explore.core.goals import GoalTable, Situation, taken_cells
 from marl_explore.core.grid import NUM_DIRECTIONS, other_robots
 from marl_explore.core.links import linked_others
+from marl_explore.core.mapping import known_cells, known_mask
 from marl_explore.core.memory import TeamMemory
 from marl_explore.core.native import Backend
 from marl_explore.core.native import goals as kernel
@@ -117,7 +118,7 @@ def _context(tensordict: TensorDictBase, table: GoalTable, sight: Sight) -> Tens
     agents = tensordict.get("agents")
     grid = agents.get("map")
     *_, robots, height, width = grid.shape
-    known = (grid >= 0).flatten(-2).sum(-1)
+    known = known_cells(known_mask(grid))
     columns = (
         tensordict.get("step_count").expand_as(known),
         known,

@@ -41,12 +41,24 @@ OBSERVED: list[NestedKey] = [
     ("agents", "steps_since_merge"),
 ]
 DANGEROUS: NestedKey = ("agents", "dangerous")
-AROUND: list[NestedKey] = [("agents", "action_mask"), ("agents", "observation", "fov")]
+CROWD_KEYS: list[NestedKey] = [
+    ("agents", "map"),
+    ("agents", "position"),
+    ("agents", "linked"),
+    ("agents", "action_mask"),
+    ("agents", "observation", "fov"),
+]
+"""What ``core.ways.crowded`` reads."""
 
 
 def observation_of(tensordict: TensorDictBase) -> Observation:
     """What robots remember of an environment's step."""
     return Observation(*(tensordict.get(key) for key in OBSERVED))
+
+
+def crowded_in(tensordict: TensorDictBase) -> Tensor:
+    """``core.ways.crowded`` of an environment's step, bool [*B, N]."""
+    return crowded(*(tensordict.get(key) for key in CROWD_KEYS))
 
 
 def to_tensordict(
@@ -91,7 +103,8 @@ class RememberTeam(Transform):
         sight: Sight | None = None,
         move_period: int | tuple[int, ...] = 1,
     ) -> None:
-        super().__init__(in_keys=[*OBSERVED, *AROUND, DANGEROUS], out_keys=[MEMORY])
+        in_keys = [*dict.fromkeys((*OBSERVED, *CROWD_KEYS, DANGEROUS))]
+        super().__init__(in_keys=in_keys, out_keys=[MEMORY])
         self.sight = Sight.square(radius) if sight is None else sight
         self.move_period = move_period
         self._kept: TensorDictBase | None = None
@@ -138,8 +151,7 @@ class RememberTeam(Transform):
         memory = blank = blank_memory(observed.grid, observed.position)
         covered = torch.zeros_like(blank.heading, dtype=torch.bool)
         refused = tensordict.get(DANGEROUS, covered)
-        around = (tensordict.get(key) for key in AROUND)
-        beset = crowded(observed.grid, observed.position, observed.linked, *around)
+        beset = crowded_in(tensordict)
         if before is not None:
             begun = _begun(tensordict)
             memory = where_begun(begun, blank, from_tensordict(before))

@@ -23,7 +23,7 @@ from marl_explore.robot.ways import (
     roomy,
     step_aside,
 )
-from marl_explore.transforms.memory import CROWDED, RememberTeam
+from marl_explore.transforms.memory import CROWD_KEYS, CROWDED, RememberTeam
 from tests.helpers.boards import arena
 
 
@@ -109,7 +109,7 @@ def test_crowded_is_who_has_a_strange_robot_beside_it(metres, period):
     """In torch and numpy, against the arenas themselves: robots know walls beside them."""
     seen = set()
     for now, _ in episodes_in_a_crowd(metres, period):
-        found = team_ways.crowded(*(now[key] for key in hindrances.CROWD_KEYS)).tolist()
+        found = team_ways.crowded(*(now[key] for key in CROWD_KEYS)).tolist()
         for batch, robot in itertools.product(range(6), range(9)):
             strange = is_beside_a_stranger(now, batch, robot)
             assert found[batch][robot] == strange
@@ -232,7 +232,7 @@ def first_move_to_room(grid, start):
 
 
 def is_obstacle(grid, cell):
-    """Whether it is one on the map, or not known to be free, or outside."""
+    """Whether it is one on the map, or outside."""
     row, column = cell
     inside = 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]
     return not inside or grid[cell] == OCCUPIED
